@@ -1,0 +1,92 @@
+"""One state in, one projector out; always the newest state, never a queue.
+
+Pure: takes bytes and returns bytes. A state that cannot be used is counted under its reason; a QP
+that cannot be solved is counted under its status, and the robot goes on with what it has.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from shared.bus.base import RefusalCounter
+from shared.config import RunConfig
+from shared.errors import MessageRefused
+from shared.motion.reference import Motion
+from shared.robots import Robot
+from shared.wbc.contacts import ContactMode
+from shared.wbc.model import WholeBodyModel
+from shared.wbc.projector import WholeBodySolution, solve
+from shared.wbc.qp import QpStatus, make_solver
+from shared.wbc.stack import Stack
+from shared.wbc.torque import recover_torque
+from shared.wire.codec import Codec
+from shared.wire.messages import ProjectorMessage, RobotState, TimedProjector
+
+_FOR_EVER_NS = 2**62
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What the edge made of one state: `data` to publish, or None if there was no solution."""
+
+    state_sequence: int
+    solution: WholeBodySolution
+    data: bytes | None
+
+
+class EdgeNode:
+    """The full controller at the far end of the link."""
+
+    def __init__(self, robot: Robot, config: RunConfig, motion: Motion) -> None:
+        self.refused = RefusalCounter()
+        self.solved: Counter[str] = Counter()
+        self._model = WholeBodyModel(robot)
+        self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+        self._codec = Codec(robot, config)
+        self._motion = motion
+        self._solver = make_solver(config.wbc.solver)
+        self._newest: RobotState | None = None
+        self._last_seen: tuple[int, int] | None = None
+
+    def receive(self, data: bytes) -> None:
+        """Take a message in; keep its state if it is valid and newer than what is known."""
+        try:
+            state = self._codec.decode_state(data)
+            if self._last_seen is not None:
+                session, sequence = self._last_seen
+                if state.session == session and state.sequence <= sequence:
+                    raise MessageRefused("stale", f"{state.sequence} after {sequence}")
+        except MessageRefused as refusal:
+            self.refused[refusal.reason] += 1
+            return
+        self._last_seen = (state.session, state.sequence)
+        self._newest = state
+
+    def step(self) -> Answer | None:
+        """Answer the newest state, once; None if there is none."""
+        state, self._newest = self._newest, None
+        if state is None:
+            return None
+        stack = self._stacks[state.mode]
+        reference = self._motion.reference(state.time_ns)
+        kinematics = self._model.kinematics(state.q, state.v)
+        b = stack.right_hand_side(kinematics, reference)
+        matrices = stack.matrices(self._model.jacobians(state.q))
+        solution = solve(stack, matrices, b, solver=self._solver)
+        self.solved[solution.status.value] += 1
+        if solution.status is not QpStatus.SOLVED or solution.projector is None:
+            return Answer(state.sequence, solution, None)
+        # Rounded first, so that the torque sent is the one that the projector sent gives.
+        projector = self._codec.rounded(solution.projector)
+        y = projector.apply(b)
+        message = ProjectorMessage(
+            session=state.session,
+            sequence=state.sequence,
+            stamp_ns=state.stamp_ns,
+            mode=state.mode,
+            tau=recover_torque(self._model, stack.contacts, state.q, state.v, y),
+            y=y,
+            projectors=(TimedProjector(projector, 0, _FOR_EVER_NS),),
+        )
+        return Answer(state.sequence, solution, self._codec.encode_projector(message))

@@ -1,0 +1,1 @@
+"""Reproducible runs under simulated time, and what is made of many of them."""

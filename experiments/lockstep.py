@@ -1,0 +1,237 @@
+"""All nodes in one process on a simulated clock: an event queue instead of threads and sleep.
+
+The nodes, the codec and the delay lines are those of a live run; only clock, bus and driver differ.
+Events run in the order of (time, rank, number); at equal times deliveries come before the edge's
+answers and those before the robot's phases. Compute times are configured, never measured, so the
+same configuration and seed give the same run to the last bit.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from edge_node.node import EdgeNode
+from netem.delay_line import DelayLine
+from netem.profile import DOWNLINK as DOWN
+from netem.profile import UPLINK as UP
+from netem.profile import load_profile
+from robot_node.node import Command, RobotNode
+from shared.bus.base import Delivery, Inbox
+from shared.bus.memory import MemoryBus
+from shared.clock import SimClock
+from shared.config import RunConfig
+from shared.errors import LinkError
+from shared.motion.reference import Standing
+from shared.report import edge_report, link_report, robot_report, summary
+from shared.robots import load_robot
+from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, RowLog, Schema
+from shared.wbc.qp import QpStatus
+from shared.wire.channels import DOWNLINK, UPLINK
+
+_RANK_DELIVERY, _RANK_EDGE, _RANK_MEASURE, _RANK_COMMAND = range(4)
+_STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """Summary of a trial, and its telemetry rows."""
+
+    summary: dict[str, Any]
+    schema: Schema
+    rows: np.ndarray
+    link_rows: np.ndarray
+    solve_rows: np.ndarray
+
+
+class Lockstep:
+    """One trial. `run` plays it to the end of its duration or the robot's fall."""
+
+    def __init__(self, config: RunConfig) -> None:
+        self.config = config
+        self.clock = SimClock()
+        robot = load_robot(config.robot.name)
+        motion = Standing(robot)
+        self.robot = RobotNode(robot, config, motion, session=1)
+        self.edge = EdgeNode(robot, config, motion)
+        self.ticks = RowLog(self.robot.schema)
+        self.link = RowLog(LINK_SCHEMA)
+        self.solves = RowLog(SOLVE_SCHEMA)
+        self._events: list[tuple[int, int, int, Callable[[], None]]] = []
+        self._numbers = itertools.count()
+        self._edge_busy = False
+        self._edge_inbox, self._robot_inbox = Inbox(), Inbox()
+        self._measure_cost_ns = 0
+        self._profile_name = "direct"
+        self._lines: list[DelayLine[Delivery]] = []
+        self._connect(robot.name)
+
+    def at(self, time_ns: int, rank: int, action: Callable[[], None]) -> None:
+        """Schedule an action."""
+        heapq.heappush(self._events, (time_ns, rank, next(self._numbers), action))
+
+    def run(self) -> TrialResult:
+        """Play the trial."""
+        started = time.perf_counter()
+        duration_ns = round(self.config.duration * 1e9)
+        waiting_limit_ns = round(self.config.loop.connect_timeout * 1e9)
+        self.at(0, _RANK_MEASURE, self._measure)
+        while self._events and self.robot.time_ns < duration_ns and not self.robot.fallen:
+            self.clock.time_ns, _, _, action = heapq.heappop(self._events)
+            action()
+            if not self.robot.running and self.clock.time_ns > waiting_limit_ns:
+                raise LinkError(
+                    f"no projector within {self.config.loop.connect_timeout:g} s of simulated "
+                    f"time: network {self.config.link.network!r} delivers too little; refused: "
+                    f"{dict(self.robot.cache.refused) or 'nothing'}"
+                )
+        return self._result(wall_seconds=time.perf_counter() - started)
+
+    def _connect(self, robot: str) -> None:
+        near, far = MemoryBus(self.clock), MemoryBus(self.clock)
+        up_key, down_key = UPLINK.key_for(robot), DOWNLINK.key_for(robot)
+        config = self.config
+        if config.link.network == "direct":
+            far = near
+        else:
+            profile = load_profile(config.link.network)
+            self._profile_name = profile.name
+            self._lines = [
+                DelayLine(
+                    profile,
+                    direction,
+                    start_ns=0,
+                    offset_ns=profile.start_offset_ns(config.seed),
+                    loss=config.link.loss,
+                    keep_order=config.link.keep_order,
+                    rng=np.random.default_rng([config.seed, 2, direction]),
+                )
+                for direction in (UP, DOWN)
+            ]
+            near.subscribe(up_key, self._shim(UP, far.publisher(up_key).forward))
+            far.subscribe(down_key, self._shim(DOWN, near.publisher(down_key).forward))
+        self._uplink = near.publisher(up_key)
+        self._downlink = far.publisher(down_key)
+        far.subscribe(up_key, self._edge_receives)
+        near.subscribe(down_key, self._robot_inbox.put)
+
+    def _shim(
+        self, direction: int, forward: Callable[[Delivery], None]
+    ) -> Callable[[Delivery], None]:
+        line = self._lines[direction]
+
+        def release() -> None:
+            for due in line.pop_due(self.clock.now_ns()):
+                self._log_message(direction, due.item, due.nominal_ns, self.clock.now_ns())
+                forward(due.item)
+
+        def receive(delivery: Delivery) -> None:
+            due_ns = line.push(delivery, sent_ns=self.clock.now_ns())
+            if due_ns is None:
+                self._log_message(direction, delivery, 0, None)
+            else:
+                self.at(due_ns, _RANK_DELIVERY, release)
+
+        return receive
+
+    def _log_message(
+        self, direction: int, delivery: Delivery, nominal_ns: int, released_ns: int | None
+    ) -> None:
+        envelope = delivery.envelope
+        assert envelope is not None
+        row, columns = self.link.row(), LINK_SCHEMA.slices
+        row[columns["wall_ns"]] = envelope.sent_ns
+        row[columns["direction"]] = direction
+        row[columns["sequence"]] = envelope.sequence
+        row[columns["bytes"]] = len(delivery.data)
+        row[columns["nominal_ns"]] = nominal_ns
+        row[columns["achieved_ns"]] = -1 if released_ns is None else released_ns - envelope.sent_ns
+
+    def _edge_receives(self, delivery: Delivery) -> None:
+        self._edge_inbox.put(delivery)
+        if not self._edge_busy:
+            self._edge_starts()
+
+    def _edge_starts(self) -> None:
+        for data in self._edge_inbox.take():
+            self.edge.receive(data)
+        started = time.perf_counter_ns()
+        answer = self.edge.step()
+        if answer is None:
+            return
+        row, columns = self.solves.row(), SOLVE_SCHEMA.slices
+        row[columns["wall_ns"]] = self.clock.now_ns()
+        row[columns["state_sequence"]] = answer.state_sequence
+        row[columns["solve_ns"]] = time.perf_counter_ns() - started
+        row[columns["status"]] = _STATUS_INDEX[answer.solution.status]
+        row[columns["iterations"]] = answer.solution.iterations
+        if answer.solution.projector is not None:
+            row[columns["active_set_size"]] = len(answer.solution.projector.active)
+        self._edge_busy = True
+
+        def finish() -> None:
+            self._edge_busy = False
+            if answer.data is not None:
+                self._downlink.publish(answer.data)
+            self._edge_starts()
+
+        self.at(self.clock.now_ns() + self.config.loop.edge_compute_ns, _RANK_EDGE, finish)
+
+    def _measure(self) -> None:
+        now_ns = self.clock.now_ns()
+        started = time.perf_counter_ns()
+        data = self.robot.measure(now_ns)
+        self._measure_cost_ns = time.perf_counter_ns() - started
+        self._uplink.publish(data)
+        loop = self.config.loop
+        self.at(now_ns + loop.fresh_within_ns, _RANK_COMMAND, self._command)
+        self.at(now_ns + loop.period_ns, _RANK_MEASURE, self._measure)
+
+    def _command(self) -> None:
+        started = time.perf_counter_ns()
+        for data in self._robot_inbox.take():
+            self.robot.receive(data)
+        command: Command = self.robot.command(self.clock.now_ns())
+        cost_ns = self._measure_cost_ns + time.perf_counter_ns() - started
+        row = self.ticks.row()
+        self.robot.record(row, command)
+        row[self.robot.schema.slices["tick_ns"]] = cost_ns
+        self.robot.advance(command)
+
+    def _result(self, *, wall_seconds: float) -> TrialResult:
+        for log in (self.ticks, self.link, self.solves):
+            log.close()
+        rows, link_rows, solve_rows = self.ticks.rows(), self.link.rows(), self.solves.rows()
+        robot = robot_report(
+            self.robot.schema,
+            rows,
+            fell=self.robot.fallen,
+            wall_seconds=wall_seconds,
+            sent=self._uplink.sent,
+            received=self._robot_inbox.counter.received,
+            lost=self._robot_inbox.counter.lost,
+            refused=dict(self.robot.cache.refused),
+        )
+        edge = edge_report(
+            solve_rows,
+            statuses=dict(self.edge.solved),
+            sent=self._downlink.sent,
+            received=self._edge_inbox.counter.received,
+            lost=self._edge_inbox.counter.lost,
+            refused=dict(self.edge.refused),
+        )
+        passes = max((line.passes(self.clock.now_ns()) for line in self._lines), default=0)
+        link = link_report(link_rows, profile=self._profile_name, passes=passes)
+        return TrialResult(
+            summary=summary(self.config, robot=robot, edge=edge, link=link),
+            schema=self.robot.schema,
+            rows=rows,
+            link_rows=link_rows,
+            solve_rows=solve_rows,
+        )

@@ -1,0 +1,186 @@
+"""The robot's tick, in two phases.
+
+`measure` senses and returns the state to send; `command`, d* later, takes what has arrived and
+produces the torque of this tick by Eq. (7): the answer to *this* state if it is here, else the
+newest one in the cache, else the joints are held. `advance` then moves the simulated robot.
+
+Time of the task begins when the first answer arrives; until then the robot stands still and sends.
+A tick never raises: what goes wrong is counted and named.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_node.cache import ProjectorCache
+from robot_node.controllers import Measurement, Source, make_controller
+from robot_node.plant import Plant
+from robot_node.safety import JointHold, TorqueGuard, has_fallen
+from robot_node.sensors import Sensors
+from shared.bus.base import new_session
+from shared.config import RunConfig, parse_push
+from shared.motion.reference import Motion, Reference
+from shared.robots import Robot
+from shared.telemetry import Schema, tick_schema
+from shared.wbc.contacts import ContactMode
+from shared.wbc.model import Kinematics, WholeBodyModel
+from shared.wbc.stack import Stack
+from shared.wire.codec import Codec
+from shared.wire.messages import RobotState
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """The torque of one tick (nv − 6,) [N m], clamped; the solution behind it, if there is one.
+
+    `age_ns` is the time since the state that the answer was computed from was measured.
+    """
+
+    tau: np.ndarray
+    y: np.ndarray | None
+    source: Source
+    age_ns: int
+    active_set_size: int
+
+
+class RobotNode:
+    """Simulated robot and local controller. `session` names this start of the robot."""
+
+    def __init__(
+        self, robot: Robot, config: RunConfig, motion: Motion, *, session: int | None = None
+    ) -> None:
+        self.schema: Schema = tick_schema(nq=robot.model.nq, nv=robot.model.nv)
+        self.running = False
+        self.fallen = False
+        self.time_ns = 0
+        self.tick = 0
+        self._robot = robot
+        self._config = config
+        self._motion = motion
+        self._pushes = [parse_push(push) for push in config.push]
+        self._plant = Plant(robot, config.plant, timestep=config.loop.period_ns * 1e-9)
+        self._sensors = Sensors(config.sensors, seed=config.seed)
+        self._model = WholeBodyModel(robot)
+        self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+        self._controllers = {
+            mode: make_controller(config.controller, self._model, stack)
+            for mode, stack in self._stacks.items()
+        }
+        self._session = new_session() if session is None else session
+        codec = Codec(robot, config)
+        self._codec = codec
+        self.cache = ProjectorCache(codec, session=self._session)
+        self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
+        self._hold = JointHold(robot)
+        self._hold_after_ns = config.loop.hold_after * 1e9
+        self._last_tau = np.zeros(robot.model.nv - 6)
+        self._standing_com_height = float(motion.reference(0).com[2])
+        self._measured_ns = 0
+        self._measurement: Measurement
+        self._kinematics: Kinematics
+        self._reference: Reference
+
+    def measure(self, now_ns: int) -> bytes:
+        """First phase: sense, form b, and return the state message to send."""
+        q, v = self._sensors.measure(*self._plant.state())
+        self._reference = self._motion.reference(self.time_ns)
+        mode = self._reference.mode
+        self._kinematics = self._model.kinematics(q, v)
+        b = self._stacks[mode].right_hand_side(self._kinematics, self._reference)
+        self._measurement = Measurement(q, v, b)
+        self._measured_ns = now_ns
+        return self._codec.encode_state(
+            RobotState(
+                session=self._session,
+                sequence=self.tick,
+                stamp_ns=now_ns,
+                time_ns=self.time_ns,
+                mode=mode,
+                q=q,
+                v=v,
+            )
+        )
+
+    def receive(self, data: bytes) -> None:
+        """Offer a message from the edge to the cache; the first good one starts the task."""
+        self.cache.offer(data, newest_sent=self.tick)
+
+    def command(self, now_ns: int) -> Command:
+        """Second phase: the torque of this tick, Eq. (7)."""
+        mode = self._reference.mode
+        entry = self.cache.lookup(mode, time_ns=self.time_ns)
+        if entry is None:
+            return self._held(age_ns=-1)
+        age_ns = now_ns - entry.message.stamp_ns
+        if age_ns > self._hold_after_ns:
+            return self._held(age_ns=age_ns)
+        tau, y = self._controllers[mode].command(entry, self._measurement)
+        safe = self._guard.accept(tau)
+        if safe is None:
+            return self._held(age_ns=age_ns)
+        self._hold.release()
+        self._last_tau = safe
+        source = Source.FRESH if entry.message.sequence == self.tick else Source.CACHED
+        return Command(safe, y, source, age_ns, len(entry.projector.active))
+
+    def advance(self, command: Command) -> None:
+        """Move the plant by one period; before the first answer, only count the tick."""
+        if not self.running and command.source is not Source.HELD:
+            self.running = True
+            self._sensors.restart()
+        self.tick += 1
+        if not self.running:
+            return
+        self._plant.step(command.tau, push=self._push())
+        self.time_ns += self._config.loop.period_ns
+
+    def record(self, row: np.ndarray, command: Command) -> None:
+        """Fill the telemetry row of this tick; between `command` and `advance`."""
+        columns = self.schema.slices
+        q, v = self._plant.state()
+        com = self._model.centre_of_mass(q)
+        row[columns["tick"]] = self.tick
+        row[columns["time_ns"]] = self.time_ns if self.running or command.y is not None else -1
+        row[columns["wall_ns"]] = self._measured_ns
+        row[columns["source"]] = command.source
+        row[columns["mode"]] = self._reference.mode
+        row[columns["q"]] = q
+        row[columns["v"]] = v
+        row[columns["tau"]] = command.tau
+        row[columns["com"]] = com
+        row[columns["com_reference"]] = self._reference.com
+        row[columns["com_error_m"]] = np.linalg.norm(com - self._reference.com)
+        row[columns["contact_violation_m_s2"]] = np.nan
+        if command.y is not None:
+            f = command.y[self._model.nv :]
+            row[columns["f"].start : columns["f"].start + len(f)] = f
+            row[columns["contact_violation_m_s2"]] = self._contact_violation(command.y)
+        row[columns["push_n"]] = self._push()
+        row[columns["projector_age_ns"]] = command.age_ns
+        row[columns["active_set_size"]] = command.active_set_size
+        row[columns["refused"]] = self.cache.refused.total_refused
+        self.fallen = has_fallen(
+            q, com_height=com[2], standing_com_height=self._standing_com_height
+        )
+
+    def _held(self, *, age_ns: int) -> Command:
+        now = self._measurement
+        tau = self._guard.accept(self._hold.torque(now.q, now.v, last_torque=self._last_tau))
+        if tau is None:
+            tau = np.zeros_like(self._last_tau)
+        return Command(tau, None, Source.HELD, age_ns, 0)
+
+    def _push(self) -> np.ndarray:
+        force = np.zeros(3)
+        for push in self._pushes:
+            if push.active(self.time_ns):
+                force += push.force
+        return force
+
+    def _contact_violation(self, y: np.ndarray) -> float:
+        now = self._measurement
+        stack = self._stacks[self._reference.mode]
+        acceleration = self._model.sole_acceleration(now.q, now.v, y[: self._model.nv])
+        return stack.contact_violation(self._kinematics, acceleration[stack.mode.feet[0]])

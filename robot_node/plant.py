@@ -1,0 +1,72 @@
+"""The simulated robot: the only place that calls MuJoCo, and the only one that converts to it.
+
+MuJoCo's free joint has its linear velocity in the world frame and its quaternion scalar-first;
+Pinocchio's has the velocity in the base frame and the quaternion scalar-last.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from robot_node.mjcf import mjcf
+from shared.config import PlantConfig
+from shared.robots import Robot
+
+
+class Plant:
+    """MuJoCo simulation of one robot on a floor; states go in and out in Pinocchio's convention."""
+
+    def __init__(self, robot: Robot, config: PlantConfig, *, timestep: float = 1e-3) -> None:
+        self.model = mujoco.MjModel.from_xml_string(mjcf(robot, config, timestep=timestep))
+        # A diverging simulation must be seen as a fall, not silently put back to its start.
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        mujoco.set_mju_user_warning(_ignore_warning)
+        self.data = mujoco.MjData(self.model)
+        self._base = self.model.body(robot.model.names[1]).id
+        self.set_state(robot.q_standing, np.zeros(robot.model.nv))
+
+    def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Put the robot at (q, v)."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:], self.data.qvel[:] = to_mujoco(q, v)
+        mujoco.mj_forward(self.model, self.data)
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """True (q, v), shapes (nq,) and (nv,)."""
+        return from_mujoco(self.data.qpos, self.data.qvel)
+
+    def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
+        """One timestep under joint torques (nv − 6,) [N m] and a force on the base [N], world.
+
+        The force acts at the centre of mass of the base body.
+        """
+        self.data.ctrl[:] = tau
+        self.data.xfrc_applied[self._base, :3] = push
+        mujoco.mj_step(self.model, self.data)
+
+
+def _ignore_warning(message: str) -> None:
+    """Instability shows in the state; MuJoCo would write its warning to a file."""
+
+
+def to_mujoco(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(q, v) of Pinocchio as (qpos, qvel) of MuJoCo."""
+    qpos, qvel = q.copy(), v.copy()
+    qpos[3:7] = q[[6, 3, 4, 5]]
+    qvel[:3] = world_from_base(q) @ v[:3]
+    return qpos, qvel
+
+
+def from_mujoco(qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(qpos, qvel) of MuJoCo as (q, v) of Pinocchio."""
+    q, v = qpos.copy(), qvel.copy()
+    q[3:7] = qpos[[4, 5, 6, 3]]
+    v[:3] = world_from_base(q).T @ qvel[:3]
+    return q, v
+
+
+def world_from_base(q: np.ndarray) -> np.ndarray:
+    """Rotation of the base, (3, 3), from a Pinocchio configuration."""
+    return pin.Quaternion(q[6], q[3], q[4], q[5]).toRotationMatrix()

@@ -1,0 +1,62 @@
+"""What stands between a computed torque and the actuators, and what the robot does without one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from robot_node.plant import world_from_base
+from shared.robots import Robot
+
+# A fallen robot: CoM below this fraction of its standing height, or the base tilted beyond this.
+FALLEN_COM_HEIGHT = 0.6
+FALLEN_TILT = 1.0
+
+# Joint hold: natural frequency of the joint impedance [rad/s] on the inertia it was scaled with.
+_HOLD_STIFFNESS_PER_EFFORT = 10.0
+_HOLD_DAMPING_PER_EFFORT = 0.3
+
+
+class TorqueGuard:
+    """Clamps to actuator limits and refuses numbers that are not finite."""
+
+    def __init__(self, robot: Robot, *, clamp: float) -> None:
+        self.limit = clamp * robot.effort_limit
+
+    def accept(self, tau: np.ndarray) -> np.ndarray | None:
+        """`tau` clamped, shape (nv − 6,) [N m]; None if any entry is not finite."""
+        if not np.isfinite(tau.sum()):
+            return None
+        return np.minimum(np.maximum(tau, -self.limit), self.limit)
+
+
+class JointHold:
+    """Holds the joints where they were when it was entered, around the torque applied then.
+
+    The last resort of a robot without a usable projector: it stays upright as a statue does, and
+    resists as far as stiff joints can.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._stiffness = _HOLD_STIFFNESS_PER_EFFORT * robot.effort_limit
+        self._damping = _HOLD_DAMPING_PER_EFFORT * robot.effort_limit
+        self._posture: np.ndarray | None = None
+        self._torque = np.zeros_like(robot.effort_limit)
+
+    def release(self) -> None:
+        """Back to normal control."""
+        self._posture = None
+
+    def torque(self, q: np.ndarray, v: np.ndarray, *, last_torque: np.ndarray) -> np.ndarray:
+        """Holding torque at (q, v), (nv − 6,) [N m]; the first call fixes what is held."""
+        if self._posture is None:
+            self._posture = q[7:].copy()
+            self._torque = last_torque.copy()
+        return self._torque + self._stiffness * (self._posture - q[7:]) - self._damping * v[6:]
+
+
+def has_fallen(q: np.ndarray, *, com_height: float, standing_com_height: float) -> bool:
+    """Whether a robot at the true configuration q counts as fallen."""
+    tilt = math.acos(max(-1.0, min(1.0, float(world_from_base(q)[2, 2]))))
+    return not (com_height > FALLEN_COM_HEIGHT * standing_com_height and tilt < FALLEN_TILT)

@@ -1,0 +1,171 @@
+"""What a node needs of a bus, and how messages are counted on the way.
+
+Every message carries an `Envelope` outside its payload: who sent it, its number, and when. That is
+enough to count losses and to delay a message from the moment it was sent, without looking inside.
+"""
+
+from __future__ import annotations
+
+import secrets
+import struct
+import threading
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+_ENVELOPE = struct.Struct("<IIqI")
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """`session` tells one publisher from another, `sequence` counts its messages, `sent_ns` is its
+    clock when it sent, `clock` names that clock: two machines have different ones.
+    """
+
+    session: int
+    sequence: int
+    sent_ns: int
+    clock: int
+
+    def encode(self) -> bytes:
+        """Twenty bytes."""
+        return _ENVELOPE.pack(self.session, self.sequence, self.sent_ns, self.clock)
+
+    @staticmethod
+    def decode(data: bytes | None) -> Envelope | None:
+        """None if the bytes are not an envelope."""
+        if data is None or len(data) != _ENVELOPE.size:
+            return None
+        return Envelope(*_ENVELOPE.unpack(data))
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """A message as it arrived."""
+
+    data: bytes
+    envelope: Envelope | None
+
+
+class Publisher(Protocol):
+    """Publishes on one key. Never blocks and never raises when nobody listens."""
+
+    sent: int
+
+    def publish(self, data: bytes) -> None:
+        """Send a new message."""
+        ...
+
+    def forward(self, delivery: Delivery) -> None:
+        """Send a received message on, with its own envelope."""
+        ...
+
+
+class Bus(Protocol):
+    """A way to other nodes."""
+
+    def publisher(self, key: str) -> Publisher:
+        """A publisher on `key`."""
+        ...
+
+    def subscribe(self, key: str, receive: Callable[[Delivery], None]) -> None:
+        """Call `receive` for every message on `key`; it must return at once."""
+        ...
+
+    def close(self) -> None:
+        """Leave the bus."""
+        ...
+
+
+def new_session() -> int:
+    """A random identity for one start of a publisher."""
+    return secrets.randbits(32)
+
+
+class ReceptionCounter:
+    """Received and lost messages of one key, by the sequence numbers of each publisher.
+
+    A message that another one overtook is not lost; a gap that was never filled is.
+    """
+
+    def __init__(self) -> None:
+        self.received = 0
+        self._spans: dict[int, tuple[int, int, int]] = {}
+
+    def count(self, envelope: Envelope | None) -> None:
+        """Take note of one arrival."""
+        self.received += 1
+        if envelope is None:
+            return
+        sequence = envelope.sequence
+        first, last, arrived = self._spans.get(envelope.session, (sequence, sequence, 0))
+        self._spans[envelope.session] = (min(first, sequence), max(last, sequence), arrived + 1)
+
+    @property
+    def lost(self) -> int:
+        """Numbers missing between the first and the last one seen of every publisher."""
+        return sum(
+            max(0, last - first + 1 - arrived) for first, last, arrived in self._spans.values()
+        )
+
+
+class Inbox:
+    """Holds the newest message of each publisher since the last look.
+
+    `put` runs on the bus's thread, the rest on the node's. At an outage's end hundreds of messages
+    arrive at once: the counter sees them all, the node works on the newest. Messages without an
+    envelope are nobody's of ours; a bounded number is kept, so that they are refused and counted.
+    """
+
+    _MAX_PUBLISHERS = 8
+    _MAX_STRANGERS = 64
+
+    def __init__(self) -> None:
+        self.counter = ReceptionCounter()
+        self._newest: dict[int, Delivery] = {}
+        self._strangers: deque[bytes] = deque(maxlen=self._MAX_STRANGERS)
+        self._lock = threading.Lock()
+        self._arrived = threading.Event()
+
+    def put(self, delivery: Delivery) -> None:
+        """Take an arrival in."""
+        envelope = delivery.envelope
+        with self._lock:
+            self.counter.count(envelope)
+            if envelope is None:
+                self._strangers.append(delivery.data)
+            else:
+                held = self._newest.get(envelope.session)
+                if held is None and len(self._newest) >= self._MAX_PUBLISHERS:
+                    return
+                if (
+                    held is None
+                    or held.envelope is None
+                    or envelope.sequence > held.envelope.sequence
+                ):
+                    self._newest[envelope.session] = delivery
+        self._arrived.set()
+
+    def take(self) -> list[bytes]:
+        """Messages to look at since the last call."""
+        self._arrived.clear()
+        if not self._newest and not self._strangers:
+            return []
+        with self._lock:
+            taken = [*self._strangers, *(delivery.data for delivery in self._newest.values())]
+            self._strangers.clear()
+            self._newest.clear()
+        return taken
+
+    def wait(self, timeout_ns: int) -> bool:
+        """Wait for an arrival; False if none came in time."""
+        return self._arrived.wait(timeout_ns * 1e-9)
+
+
+class RefusalCounter(Counter[str]):
+    """Refused messages by the name of the check that failed."""
+
+    @property
+    def total_refused(self) -> int:
+        return sum(self.values())

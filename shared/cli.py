@@ -1,0 +1,96 @@
+"""The command line of every entry point: the same flags, one-line errors, the same exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+from shared.config import CONTROLLERS, TASKS, VIEWS, RunConfig, load_config
+from shared.errors import ConfigError, UserError
+
+EXIT_STANDING = 0
+EXIT_ERROR = 2
+EXIT_FELL = 3
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        print(f"{self.prog}: error: {message} (try --help)", file=sys.stderr)
+        raise SystemExit(EXIT_ERROR)
+
+
+def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options that describe a run; each overrides the configuration file."""
+    group = parser.add_argument_group("the run (flags override --config)")
+    group.add_argument("--config", metavar="FILE.toml", help="settings; see docs/configuration.md")
+    group.add_argument("--task", help=f"one of {', '.join(TASKS)}")
+    group.add_argument("--controller", help=f"one of {', '.join(CONTROLLERS)}")
+    group.add_argument(
+        "--network",
+        help="a shipped profile (factory/003), a .npz or .csv file, constant:ROUND_TRIP "
+        "(constant:30ms), constant:UP/DOWN, or direct",
+    )
+    group.add_argument("--duration", type=float, help="seconds of simulated time")
+    group.add_argument("--seed", type=int, help="of noise, loss and the profile's starting point")
+    group.add_argument(
+        "--push",
+        action="append",
+        metavar="100N@1.0s:0.2s:+y",
+        help="force on the base, start, duration, direction; repeatable; none for no push",
+    )
+    group.add_argument("--noise", type=float, help="standard deviation of joint positions [rad]")
+    group.add_argument("--loss", type=float, help="probability of losing a message, each way")
+
+
+def add_view_argument(parser: argparse.ArgumentParser) -> None:
+    """The choice of a live view."""
+    parser.add_argument("--view", help=f"one of {', '.join(VIEWS)} (default auto)")
+
+
+_KEYS = {
+    "task": "task",
+    "controller": "controller",
+    "duration": "duration",
+    "seed": "seed",
+    "view": "view",
+    "network": "link.network",
+    "loss": "link.loss",
+    "noise": "sensors.joint_position_noise",
+}
+
+
+def config_from(arguments: argparse.Namespace) -> RunConfig:
+    """The run that the arguments describe."""
+    overrides: dict[str, Any] = {}
+    for name, key in _KEYS.items():
+        value = getattr(arguments, name, None)
+        if value is not None:
+            overrides[key] = value
+    pushes = getattr(arguments, "push", None)
+    if pushes is not None:
+        if "none" in pushes and len(pushes) > 1:
+            raise ConfigError(f"push: expected either none or pushes, got {' and '.join(pushes)}")
+        overrides["push"] = [] if pushes == ["none"] else pushes
+    return load_config(arguments.config, overrides)
+
+
+def run(main: Callable[[], int]) -> NoReturn:
+    """Exit with what `main` returns; a user's mistake is one line on standard error."""
+    try:
+        code = main()
+        sys.stdout.flush()
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        code = EXIT_ERROR
+    except KeyboardInterrupt:
+        code = 130
+    except BrokenPipeError:
+        # Whoever read our output has left; nothing more can be said.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = EXIT_ERROR
+    raise SystemExit(code)

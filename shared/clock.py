@@ -1,0 +1,78 @@
+"""Two clocks behind one protocol, and a ticker on an absolute schedule.
+
+All times between modules are integer nanoseconds. A live run reads the machine's monotonic
+clock; a lockstep run moves a `SimClock` from event to event.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+# A sleeping thread wakes late by the kernel's timer slack; the last stretch is spun. Spinning all
+# the time would starve the other processes of the stack on a small machine.
+SPIN_NS = 120_000
+
+
+class Clock(Protocol):
+    """Anything that tells the time."""
+
+    def now_ns(self) -> int:
+        """Time since an arbitrary origin [ns]; never goes back."""
+        ...
+
+
+class MonotonicClock:
+    """The machine's monotonic clock, shared by all processes of one machine."""
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+
+@dataclass
+class SimClock:
+    """A clock that stands still until it is moved."""
+
+    time_ns: int = 0
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+
+def sleep_until(due_ns: int, *, spin_ns: int = SPIN_NS) -> None:
+    """Return at `due_ns` of the monotonic clock, or at once if that has passed."""
+    remaining_ns = due_ns - time.monotonic_ns()
+    if remaining_ns > spin_ns:
+        time.sleep((remaining_ns - spin_ns) * 1e-9)
+    while time.monotonic_ns() < due_ns:
+        pass
+
+
+class Ticker:
+    """Absolute schedule of a periodic loop: tick k is due at start + k · period.
+
+    A tick that finishes after the next one is due is an overrun; it is counted, and the following
+    ticks run back to back until the schedule is met again, so that simulated time keeps up with the
+    wall clock. A stall longer than `max_backlog_ns` moves the schedule instead and counts the ticks
+    given up, so that one long stall does not become a burst.
+    """
+
+    def __init__(self, *, start_ns: int, period_ns: int, max_backlog_ns: int = 50_000_000) -> None:
+        self.period_ns = period_ns
+        self.max_backlog_ns = max_backlog_ns
+        self.due_ns = start_ns
+        self.overruns = 0
+        self.ticks_given_up = 0
+
+    def next(self, now_ns: int) -> int:
+        """Close the current tick at `now_ns`; return when the next one is due [ns]."""
+        self.due_ns += self.period_ns
+        late_ns = now_ns - self.due_ns
+        if late_ns > 0:
+            self.overruns += 1
+            if late_ns > self.max_backlog_ns:
+                given_up = late_ns // self.period_ns
+                self.ticks_given_up += given_up
+                self.due_ns += given_up * self.period_ns
+        return self.due_ns

@@ -1,0 +1,178 @@
+"""What a run came to: each process's part from its own rows, and the summary made of them.
+
+Metrics follow the paper's Sec. IV-C: mean distance of the CoM from its reference, and mean
+violation of the rigid contact of the support foot by the commanded accelerations.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import platform
+from typing import Any
+
+import numpy as np
+
+from shared.config import RunConfig
+from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema
+
+DIRECTIONS = ("uplink", "downlink")
+SOURCES = ("fresh", "cached", "held")
+_PACKAGES = (
+    "eclipse-zenoh",
+    "pin",
+    "example-robot-data",
+    "proxsuite",
+    "daqp",
+    "numpy",
+    "scipy",
+    "msgpack",
+    "mujoco",
+    "rerun-sdk",
+)
+_HASHED_COLUMNS = ("time_ns", "source", "q", "v", "tau")
+
+
+def versions() -> dict[str, str]:
+    """Python, platform and the packages that results depend on."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    found.update({name: importlib.metadata.version(name) for name in _PACKAGES})
+    return found
+
+
+def quantiles(values: np.ndarray, *, digits: int = 4) -> dict[str, float | None]:
+    """p50, p99 and max of the finite values; None where there are none."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return {"p50": None, "p99": None, "max": None}
+    p50, p99 = np.percentile(finite, [50, 99])
+    return {
+        "p50": round(float(p50), digits),
+        "p99": round(float(p99), digits),
+        "max": round(float(finite.max()), digits),
+    }
+
+
+def log_hash(schema: Schema, rows: np.ndarray) -> str:
+    """SHA-256 over what the robot did: time, source, state and torque of every tick of the task."""
+    digest = hashlib.sha256()
+    for name in _HASHED_COLUMNS:
+        digest.update(np.ascontiguousarray(rows[:, schema.slices[name]]).tobytes())
+    return digest.hexdigest()
+
+
+def robot_report(
+    schema: Schema,
+    rows: np.ndarray,
+    *,
+    fell: bool,
+    wall_seconds: float,
+    sent: int,
+    received: int,
+    lost: int,
+    refused: dict[str, int],
+) -> dict[str, Any]:
+    """The robot's part, from its tick rows; rows before the task began are left out."""
+    rows = rows[schema.column(rows, "time_ns") >= 0]
+
+    def column(name: str) -> np.ndarray:
+        return schema.column(rows, name)
+
+    source = column("source")
+    age_ms = column("projector_age_ns") * 1e-6
+    violation = column("contact_violation_m_s2")
+    seconds = len(rows) * 1e-3
+    return {
+        "fell": fell,
+        "task_seconds": round(seconds, 3),
+        "com_error_m": _mean(column("com_error_m")),
+        "contact_violation_m_s2": _mean(violation),
+        "commands": {name: int(np.sum(source == k)) for k, name in enumerate(SOURCES)},
+        "projector_age_ms": quantiles(age_ms[age_ms >= 0]),
+        "robot_tick_ms": quantiles(column("tick_ns") * 1e-6),
+        "tick_lateness_ms": quantiles(column("late_ns") * 1e-6),
+        "overruns": int(column("overruns")[-1]) if len(rows) else 0,
+        "realtime_factor": round(seconds / wall_seconds, 4) if wall_seconds > 0 else None,
+        "log_hash": log_hash(schema, rows),
+        "link": {
+            "uplink": {"sent": sent},
+            "downlink": {"received": received, "lost": lost, "refused": refused},
+        },
+    }
+
+
+def edge_report(
+    rows: np.ndarray,
+    *,
+    statuses: dict[str, int],
+    sent: int,
+    received: int,
+    lost: int,
+    refused: dict[str, int],
+) -> dict[str, Any]:
+    """The edge's part, from its solve rows."""
+    return {
+        "edge_solve_ms": quantiles(SOLVE_SCHEMA.column(rows, "solve_ns") * 1e-6),
+        "edge_solves": statuses,
+        "link": {
+            "uplink": {"received": received, "lost": lost, "refused": refused},
+            "downlink": {"sent": sent},
+        },
+    }
+
+
+def link_report(rows: np.ndarray, *, profile: str, passes: int) -> dict[str, Any]:
+    """The shim's part, from its message rows: nominal delay, and achieved minus nominal."""
+    report: dict[str, Any] = {"profile": profile, "profile_passes": passes, "link": {}}
+    directions = LINK_SCHEMA.column(rows, "direction")
+    for k, name in enumerate(DIRECTIONS):
+        way = rows[directions == k]
+        nominal = LINK_SCHEMA.column(way, "nominal_ns")
+        achieved = LINK_SCHEMA.column(way, "achieved_ns")
+        passed = achieved >= 0
+        report["link"][name] = {
+            "dropped_by_profile": int(np.sum(~passed)),
+            "bytes_per_message": quantiles(LINK_SCHEMA.column(way, "bytes")),
+            "nominal_delay_ms": quantiles(nominal[passed] * 1e-6),
+            "delay_error_ms": quantiles((achieved - nominal)[passed] * 1e-6),
+        }
+    return report
+
+
+def merge(*parts: dict[str, Any] | None) -> dict[str, Any]:
+    """Reports of several processes as one; nested maps are joined, missing parts left out."""
+    merged: dict[str, Any] = {}
+    for part in parts:
+        for key, value in (part or {}).items():
+            if isinstance(value, dict) and isinstance(merged.get(key), dict):
+                merged[key] = merge(merged[key], value)
+            else:
+                merged[key] = value
+    return merged
+
+
+def summary(
+    config: RunConfig,
+    *,
+    robot: dict[str, Any],
+    edge: dict[str, Any] | None,
+    link: dict[str, Any] | None,
+) -> dict[str, Any]:
+    """The summary of a run, with every key there even where a part is missing."""
+    unknown = {"sent": None, "received": None, "lost": None, "refused": None}
+    skeleton = {
+        "task": config.task,
+        "controller": config.controller,
+        "network": config.link.network,
+        "seed": config.seed,
+        "edge_solve_ms": quantiles(np.empty(0)),
+        "link": {
+            name: {**unknown, "delay_error_ms": quantiles(np.empty(0))} for name in DIRECTIONS
+        },
+    }
+    return {**merge(skeleton, robot, edge, link), "versions": versions()}
+
+
+def _mean(values: np.ndarray) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(f"{finite.mean():.6g}") if finite.size else None

@@ -1,0 +1,6 @@
+"""Robots: what the controller must know of one, and the catalogue of those that are known."""
+
+from shared.robots.catalogue import CATALOGUE, load_robot
+from shared.robots.description import Foot, FootDescription, Robot, RobotDescription
+
+__all__ = ["CATALOGUE", "Foot", "FootDescription", "Robot", "RobotDescription", "load_robot"]

@@ -1,0 +1,235 @@
+"""Rows of measurements, from a real-time loop to a file, a live view and statistics.
+
+A loop fills one row of numbers per tick, message or solve into a block; a full block is handed to a
+background thread, which appends it to a file and publishes it. Nothing grows in the loop, nothing
+blocks it. Afterwards the file becomes a Parquet table. Under lockstep there is no file: the blocks
+stay in memory.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgpack
+import numpy as np
+
+BLOCK_ROWS = 100
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: a scalar (`width` 1) or a fixed-size vector; `kind` is its Parquet type."""
+
+    name: str
+    width: int = 1
+    kind: str = "float64"
+
+
+class Schema:
+    """Columns laid side by side in rows of float64; `slices[name]` finds one."""
+
+    def __init__(self, *columns: Column) -> None:
+        self.columns = columns
+        self.slices: dict[str, slice] = {}
+        start = 0
+        for column in columns:
+            self.slices[column.name] = slice(start, start + column.width)
+            start += column.width
+        self.width = start
+
+    def column(self, rows: np.ndarray, name: str) -> np.ndarray:
+        """Values of a column: (n,) for a scalar, (n, width) for a vector."""
+        values = rows[:, self.slices[name]]
+        return values[:, 0] if values.shape[1] == 1 else values
+
+
+# One row per tick of the robot. Times in ns: `time_ns` of the task (negative while waiting for the
+# edge), `wall_ns` of the robot's clock. `source` is the index in `robot_node.controllers.Source`.
+# `q`, `v` true state, Pinocchio order; `f` commanded point forces, zero where unloaded [N].
+def tick_schema(*, nq: int, nv: int) -> Schema:
+    """Schema of a robot's telemetry."""
+    return Schema(
+        Column("tick", kind="int64"),
+        Column("time_ns", kind="int64"),
+        Column("wall_ns", kind="int64"),
+        Column("source", kind="int8"),
+        Column("mode", kind="int8"),
+        Column("q", nq),
+        Column("v", nv),
+        Column("tau", nv - 6),
+        Column("f", 24),
+        Column("com", 3),
+        Column("com_reference", 3),
+        Column("com_error_m"),
+        Column("contact_violation_m_s2"),
+        Column("push_n", 3),
+        Column("projector_age_ns", kind="int64"),
+        Column("active_set_size", kind="int64"),
+        Column("tick_ns", kind="int64"),
+        Column("late_ns", kind="int64"),
+        Column("overruns", kind="int64"),
+        Column("refused", kind="int64"),
+    )
+
+
+# One row per message through the shim. `direction` 0 up, 1 down; `achieved_ns` is −1 if dropped.
+LINK_SCHEMA = Schema(
+    Column("wall_ns", kind="int64"),
+    Column("direction", kind="int8"),
+    Column("sequence", kind="int64"),
+    Column("bytes", kind="int64"),
+    Column("nominal_ns", kind="int64"),
+    Column("achieved_ns", kind="int64"),
+)
+
+# One row per state the edge worked on. `status` is the index in `shared.wbc.qp.QpStatus`.
+SOLVE_SCHEMA = Schema(
+    Column("wall_ns", kind="int64"),
+    Column("state_sequence", kind="int64"),
+    Column("solve_ns", kind="int64"),
+    Column("status", kind="int8"),
+    Column("iterations", kind="int64"),
+    Column("active_set_size", kind="int64"),
+)
+
+
+class RowLog:
+    """Rows under one schema. `row()` gives the next row to fill; `close()` ends the log.
+
+    With a `path`, blocks go to `path` as raw float64 and memory stays bounded; without, they are
+    kept. `publish` receives each block's encoding on the background thread.
+    """
+
+    def __init__(
+        self,
+        schema: Schema,
+        *,
+        path: Path | None = None,
+        publish: Callable[[bytes], None] | None = None,
+    ) -> None:
+        self.schema = schema
+        self.path = path
+        self._publish = publish
+        self._kept: list[np.ndarray] = []
+        self._block = np.zeros((BLOCK_ROWS, schema.width))
+        self._used = 0
+        self._queue: queue.SimpleQueue[np.ndarray | None] = queue.SimpleQueue()
+        self._file = path.open("wb") if path is not None else None
+        self._thread: threading.Thread | None = None
+        if self._file is not None or publish is not None:
+            self._thread = threading.Thread(target=self._drain, name="row-log", daemon=True)
+            self._thread.start()
+
+    def row(self) -> np.ndarray:
+        """The next row, shape (schema.width,), zeroed; fill it before the next call."""
+        if self._used == BLOCK_ROWS:
+            self._hand_over()
+        self._used += 1
+        return self._block[self._used - 1]
+
+    def close(self) -> None:
+        """Hand over the last rows and wait until they are written."""
+        self._hand_over()
+        if self._thread is not None:
+            self._queue.put(None)
+            self._thread.join(timeout=10.0)
+            self._thread = None
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def rows(self) -> np.ndarray:
+        """All rows of a closed log, shape (n, schema.width); memory-mapped when on file."""
+        if self.path is None:
+            return np.concatenate(self._kept) if self._kept else np.zeros((0, self.schema.width))
+        if self.path.stat().st_size == 0:
+            return np.zeros((0, self.schema.width))
+        return np.memmap(self.path, dtype=np.float64, mode="r").reshape(-1, self.schema.width)
+
+    def _hand_over(self) -> None:
+        block, self._block = self._block[: self._used], np.zeros_like(self._block)
+        self._used = 0
+        if not len(block):
+            return
+        if self.path is None:
+            self._kept.append(block)
+        if self._thread is not None:
+            self._queue.put(block)
+
+    def _drain(self) -> None:
+        while (block := self._queue.get()) is not None:
+            if self._file is not None:
+                self._file.write(block.data)
+            if self._publish is not None:
+                self._publish(encode_rows(self.schema, block))
+
+
+def encode_rows(schema: Schema, rows: np.ndarray) -> bytes:
+    """A block of rows with its schema, for the telemetry session."""
+    columns = [(column.name, column.width, column.kind) for column in schema.columns]
+    return bytes(msgpack.packb({"columns": columns, "rows": rows.tobytes()}))
+
+
+def decode_rows(data: bytes) -> tuple[Schema, np.ndarray]:
+    """Schema and rows (n, width) of a telemetry block; `ValueError` if it is not one."""
+    try:
+        block = msgpack.unpackb(data)
+        schema = Schema(*(Column(*column) for column in block["columns"]))
+        rows = np.frombuffer(block["rows"], dtype=np.float64).reshape(-1, schema.width)
+    except (msgpack.UnpackException, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"not a telemetry block: {error}") from None
+    return schema, rows
+
+
+def row_chunks(rows: np.ndarray, *, size: int = 20_000) -> Iterator[np.ndarray]:
+    """Rows in chunks of bounded size."""
+    for start in range(0, len(rows), size):
+        yield rows[start : start + size]
+
+
+def write_parquet(schema: Schema, rows: np.ndarray, path: Path) -> None:
+    """Rows as a Parquet table, one column per schema column; vectors are fixed-size lists."""
+    # Imported here: the control loops that only fill rows should not carry Arrow's memory.
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    def field(column: Column) -> pa.DataType:
+        kind = pa.from_numpy_dtype(np.dtype(column.kind))
+        return kind if column.width == 1 else pa.list_(kind, column.width)
+
+    arrow_schema = pa.schema([(column.name, field(column)) for column in schema.columns])
+    with pq.ParquetWriter(path, arrow_schema, compression="zstd") as writer:
+        for chunk in row_chunks(rows):
+            arrays = []
+            for column in schema.columns:
+                values = np.ascontiguousarray(chunk[:, schema.slices[column.name]])
+                flat = pa.array(values.astype(column.kind).ravel())
+                arrays.append(
+                    flat
+                    if column.width == 1
+                    else pa.FixedSizeListArray.from_arrays(flat, column.width)
+                )
+            writer.write_table(pa.table(arrays, schema=arrow_schema))
+
+
+def read_parquet(path: Path) -> tuple[Schema, np.ndarray]:
+    """Schema and rows of a table that `write_parquet` wrote."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    columns, parts = [], []
+    for name in table.column_names:
+        array = table[name].combine_chunks()
+        kind = array.type
+        width = 1
+        if pa.types.is_fixed_size_list(kind):
+            width, kind = kind.list_size, kind.value_type
+            array = array.flatten()
+        columns.append(Column(name, width, str(np.dtype(kind.to_pandas_dtype()))))
+        parts.append(array.to_numpy(zero_copy_only=False).astype(np.float64).reshape(-1, width))
+    return Schema(*columns), np.hstack(parts)

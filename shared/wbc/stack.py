@@ -1,0 +1,158 @@
+"""THE builder of the QP's rows, Eqs. (2), (5) and (6), used at both ends of the link.
+
+The robot asks it for `right_hand_side` (b: cheap, every millisecond); the edge also for `matrices`
+(A: Jacobians). The rows of b that carry feedback are named in one `RowLayout`:
+
+    dynamics 6 | contacts 6 per loaded foot | com 3 | base_orientation 3 | posture | bounds 1
+
+Force regularisation targets zero and needs no row. The bounds of active inequality rows are
+constant, so `bounds` is a single entry, always 1: a projector's last column holds their effect.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.config import WbcConfig
+from shared.motion.reference import Reference
+from shared.robots import Robot
+from shared.wbc.contacts import ContactGeometry, ContactMode, contact_geometry
+from shared.wbc.model import Jacobians, Kinematics
+from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, Task
+
+N_DYNAMICS = 6
+ROWS_PER_CONTACT = 6
+
+
+@dataclass(frozen=True)
+class RowLayout:
+    """Names and sizes of the rows of b, and of the unknowns y = (a, f), for one contact mode."""
+
+    mode: ContactMode
+    n_accelerations: int
+    n_forces: int
+    blocks: tuple[tuple[str, int], ...]
+
+    @property
+    def n_rows(self) -> int:
+        return sum(size for _, size in self.blocks)
+
+    @property
+    def n_unknowns(self) -> int:
+        return self.n_accelerations + self.n_forces
+
+    def slice(self, name: str) -> slice:
+        """Rows of one block."""
+        start = 0
+        for block, size in self.blocks:
+            if block == name:
+                return slice(start, start + size)
+            start += size
+        raise KeyError(name)
+
+    @property
+    def digest(self) -> bytes:
+        """Eight bytes that both ends compare before they exchange a matrix."""
+        return hashlib.sha256(repr(self).encode()).digest()[:8]
+
+
+@dataclass(slots=True)
+class StackMatrices:
+    """The matrices of the QP at one configuration; friction rows live in `ContactGeometry`.
+
+    Equalities `E_a a + E_f f = e`, E_a (6 + 6 n_c, nv), E_f (6, n_f) for the dynamics rows only
+    (contact rows do not touch f); tasks `A a ≈ s`, A (n_t, nv), already √ω-weighted.
+    """
+
+    E_a: np.ndarray
+    E_f: np.ndarray
+    A: np.ndarray
+
+
+class Stack:
+    """Rows of the whole-body QP of one robot in one contact mode."""
+
+    def __init__(self, robot: Robot, config: WbcConfig, mode: ContactMode) -> None:
+        nv = robot.model.nv
+        gains, weights = config.gains, config.weights
+        self.mode = mode
+        self.contacts: ContactGeometry = contact_geometry(
+            robot.description,
+            mode,
+            friction=config.friction,
+            min_normal_force=config.min_normal_force,
+        )
+        self.force_weight = weights.force
+        self.contact_damping = gains.contact_damping
+        self.tasks: tuple[Task, ...] = (
+            ComTask(weight=weights.com, kp=gains.com),
+            BaseOrientationTask(weight=weights.base_orientation, kp=gains.base_orientation, nv=nv),
+            PostureTask(weight=weights.posture, kp=gains.posture, nv=nv),
+        )
+        self.layout = RowLayout(
+            mode=mode,
+            n_accelerations=nv,
+            n_forces=self.contacts.n_forces,
+            blocks=(
+                ("dynamics", N_DYNAMICS),
+                ("contacts", ROWS_PER_CONTACT * len(mode.feet)),
+                *((task.name, task.size) for task in self.tasks),
+                ("bounds", 1),
+            ),
+        )
+        self._sqrt_weights = [float(np.sqrt(task.weight)) for task in self.tasks]
+        self._n_rows = self.layout.n_rows
+        self._n_equalities = N_DYNAMICS + ROWS_PER_CONTACT * len(mode.feet)
+        task_rows = sum(task.size for task in self.tasks)
+        self.equality_rows = slice(0, self._n_equalities)
+        self.task_rows = slice(self._n_equalities, self._n_equalities + task_rows)
+
+    def right_hand_side(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
+        """b of Eq. (6), shape (layout.n_rows,).
+
+        Dynamics rows −h_u [N, N m]; contact rows −J̇ v − kd J v [m/s², rad/s²]; task rows
+        √ω (s̈* − J̇ v); a final 1.
+        """
+        b = np.empty(self._n_rows)
+        b[:N_DYNAMICS] = -kinematics.h[:N_DYNAMICS]
+        row = N_DYNAMICS
+        for foot in self.mode.feet:
+            b[row : row + ROWS_PER_CONTACT] = (
+                -kinematics.sole_drift[foot] - self.contact_damping * kinematics.sole_velocity[foot]
+            )
+            row += ROWS_PER_CONTACT
+        for task, sqrt_weight in zip(self.tasks, self._sqrt_weights, strict=True):
+            b[row : row + task.size] = sqrt_weight * task.target(kinematics, reference)
+            row += task.size
+        b[row] = 1.0
+        return b
+
+    def matrices(self, jacobians: Jacobians) -> StackMatrices:
+        """E_a, E_f and A of Eq. (5) at one configuration."""
+        feet = self.mode.feet
+        E_a = np.vstack([jacobians.M_unactuated, *(jacobians.J_sole[foot] for foot in feet)])
+        E_f = np.hstack(
+            [
+                -jacobians.J_sole[foot][:, :N_DYNAMICS].T @ self.contacts.wrench_map[foot]
+                for foot in feet
+            ]
+        )
+        A = np.vstack(
+            [
+                sqrt_weight * task.jacobian(jacobians)
+                for task, sqrt_weight in zip(self.tasks, self._sqrt_weights, strict=True)
+            ]
+        )
+        return StackMatrices(E_a=E_a, E_f=E_f, A=A)
+
+    def contact_violation(self, kinematics: Kinematics, sole_acceleration: np.ndarray) -> float:
+        """‖J_c a + J̇_c v‖ of the first loaded foot without the contact damping term [m/s²].
+
+        Sec. IV-C reports the left foot in double support. The damping the contact rows ask for is
+        wanted, so it is not counted as a violation.
+        """
+        velocity = kinematics.sole_velocity[self.mode.feet[0]]
+        return float(np.linalg.norm(sole_acceleration + self.contact_damping * velocity))

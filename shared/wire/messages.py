@@ -1,0 +1,54 @@
+"""The two messages of the link. `docs/wire.md` documents their encoding field by field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.wbc.contacts import ContactMode
+from shared.wbc.projector import Projector
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """Uplink, 1 kHz: the measured state of one tick.
+
+    `session` tells one start of the robot from the next; `sequence` counts ticks within it.
+    `stamp_ns` is the robot's clock at the measurement and means nothing elsewhere; `time_ns` is the
+    time of the task, from which both ends derive the reference. `q` (nq,), `v` (nv,).
+    """
+
+    session: int
+    sequence: int
+    stamp_ns: int
+    time_ns: int
+    mode: ContactMode
+    q: np.ndarray
+    v: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class TimedProjector:
+    """A projector with the task times between which it may be used [ns]."""
+
+    projector: Projector
+    valid_from_ns: int
+    valid_until_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ProjectorMessage:
+    """Downlink: what the edge computed from one state, whose identity it echoes.
+
+    `tau` (nv − 6,) [N m] and `y` (n,) are the full solution at that state, all that a purely remote
+    controller uses. `projectors` holds at least the one of `mode`, possibly others for later modes.
+    """
+
+    session: int
+    sequence: int
+    stamp_ns: int
+    mode: ContactMode
+    tau: np.ndarray
+    y: np.ndarray
+    projectors: tuple[TimedProjector, ...]
