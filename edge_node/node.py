@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
+import numpy as np
+
 from shared.bus.base import RefusalCounter
 from shared.config import RunConfig
 from shared.errors import MessageRefused
 from shared.motion.reference import Motion
 from shared.robots import Robot
+from shared.telemetry import SOLVE_SCHEMA
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import WholeBodySolution, solve
@@ -24,6 +27,7 @@ from shared.wire.codec import Codec
 from shared.wire.messages import ProjectorMessage, RobotState, TimedProjector
 
 _FOR_EVER_NS = 2**62
+_STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +37,17 @@ class Answer:
     state_sequence: int
     solution: WholeBodySolution
     data: bytes | None
+
+    def record(self, row: np.ndarray, *, wall_ns: int, solve_ns: int) -> None:
+        """Fill a row of `SOLVE_SCHEMA`."""
+        columns = SOLVE_SCHEMA.slices
+        row[columns["wall_ns"]] = wall_ns
+        row[columns["state_sequence"]] = self.state_sequence
+        row[columns["solve_ns"]] = solve_ns
+        row[columns["status"]] = _STATUS_INDEX[self.solution.status]
+        row[columns["iterations"]] = self.solution.iterations
+        if self.solution.projector is not None:
+            row[columns["active_set_size"]] = len(self.solution.projector.active)
 
 
 class EdgeNode:

@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from edge_node.node import EdgeNode
-from netem.delay_line import DelayLine
+from netem.delay_line import DelayLine, Due
 from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
 from netem.profile import load_profile
+from netem.shim import record_message
 from robot_node.node import Command, RobotNode
 from shared.bus.base import Delivery, Inbox
 from shared.bus.memory import MemoryBus
@@ -32,11 +33,9 @@ from shared.motion.reference import Standing
 from shared.report import edge_report, link_report, robot_report, summary
 from shared.robots import load_robot
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, RowLog, Schema
-from shared.wbc.qp import QpStatus
 from shared.wire.channels import DOWNLINK, UPLINK
 
 _RANK_DELIVERY, _RANK_EDGE, _RANK_MEASURE, _RANK_COMMAND = range(4)
-_STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 
 
 @dataclass(frozen=True)
@@ -127,31 +126,21 @@ class Lockstep:
         line = self._lines[direction]
 
         def release() -> None:
-            for due in line.pop_due(self.clock.now_ns()):
-                self._log_message(direction, due.item, due.nominal_ns, self.clock.now_ns())
+            now_ns = self.clock.now_ns()
+            for due in line.pop_due(now_ns):
+                record_message(self.link.row(), direction, due, released_ns=now_ns)
                 forward(due.item)
 
         def receive(delivery: Delivery) -> None:
-            due_ns = line.push(delivery, sent_ns=self.clock.now_ns())
+            sent_ns = self.clock.now_ns()
+            due_ns = line.push(delivery, sent_ns=sent_ns)
             if due_ns is None:
-                self._log_message(direction, delivery, 0, None)
+                lost = Due(delivery, sent_ns, 0)
+                record_message(self.link.row(), direction, lost, released_ns=None)
             else:
                 self.at(due_ns, _RANK_DELIVERY, release)
 
         return receive
-
-    def _log_message(
-        self, direction: int, delivery: Delivery, nominal_ns: int, released_ns: int | None
-    ) -> None:
-        envelope = delivery.envelope
-        assert envelope is not None
-        row, columns = self.link.row(), LINK_SCHEMA.slices
-        row[columns["wall_ns"]] = envelope.sent_ns
-        row[columns["direction"]] = direction
-        row[columns["sequence"]] = envelope.sequence
-        row[columns["bytes"]] = len(delivery.data)
-        row[columns["nominal_ns"]] = nominal_ns
-        row[columns["achieved_ns"]] = -1 if released_ns is None else released_ns - envelope.sent_ns
 
     def _edge_receives(self, delivery: Delivery) -> None:
         self._edge_inbox.put(delivery)
@@ -165,14 +154,8 @@ class Lockstep:
         answer = self.edge.step()
         if answer is None:
             return
-        row, columns = self.solves.row(), SOLVE_SCHEMA.slices
-        row[columns["wall_ns"]] = self.clock.now_ns()
-        row[columns["state_sequence"]] = answer.state_sequence
-        row[columns["solve_ns"]] = time.perf_counter_ns() - started
-        row[columns["status"]] = _STATUS_INDEX[answer.solution.status]
-        row[columns["iterations"]] = answer.solution.iterations
-        if answer.solution.projector is not None:
-            row[columns["active_set_size"]] = len(answer.solution.projector.active)
+        solve_ns = time.perf_counter_ns() - started
+        answer.record(self.solves.row(), wall_ns=self.clock.now_ns(), solve_ns=solve_ns)
         self._edge_busy = True
 
         def finish() -> None:

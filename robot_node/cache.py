@@ -34,7 +34,7 @@ class ProjectorCache:
 
     def __init__(self, codec: Codec, *, session: int) -> None:
         self.refused = RefusalCounter()
-        self.accepted = 0
+        self.newest_stamp_ns = 0
         self._codec = codec
         self._session = session
         self._newest_sequence = -1
@@ -56,7 +56,7 @@ class ProjectorCache:
         self._newest_sequence = message.sequence
         for timed in message.projectors:
             self._entries[timed.projector.mode] = CacheEntry(timed, message)
-        self.accepted += 1
+        self.newest_stamp_ns = message.stamp_ns
         return True
 
     def lookup(self, mode: ContactMode, *, time_ns: int) -> CacheEntry | None:

@@ -10,6 +10,7 @@ A tick never raises: what goes wrong is counted and named.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,9 +104,9 @@ class RobotNode:
             )
         )
 
-    def receive(self, data: bytes) -> None:
-        """Offer a message from the edge to the cache; the first good one starts the task."""
-        self.cache.offer(data, newest_sent=self.tick)
+    def receive(self, data: bytes) -> bool:
+        """Offer a message from the edge to the cache; whether it was taken."""
+        return self.cache.offer(data, newest_sent=self.tick)
 
     def command(self, now_ns: int) -> Command:
         """Second phase: the torque of this tick, Eq. (7)."""
@@ -151,7 +152,8 @@ class RobotNode:
         row[columns["tau"]] = command.tau
         row[columns["com"]] = com
         row[columns["com_reference"]] = self._reference.com
-        row[columns["com_error_m"]] = np.linalg.norm(com - self._reference.com)
+        error = com - self._reference.com
+        row[columns["com_error_m"]] = math.sqrt(error @ error)
         row[columns["contact_violation_m_s2"]] = np.nan
         if command.y is not None:
             f = command.y[self._model.nv :]
@@ -182,5 +184,6 @@ class RobotNode:
     def _contact_violation(self, y: np.ndarray) -> float:
         now = self._measurement
         stack = self._stacks[self._reference.mode]
-        acceleration = self._model.sole_acceleration(now.q, now.v, y[: self._model.nv])
-        return stack.contact_violation(self._kinematics, acceleration[stack.mode.feet[0]])
+        a = y[: self._model.nv]
+        acceleration = self._model.sole_acceleration(stack.support_foot, now.q, now.v, a)
+        return stack.contact_violation(self._kinematics, acceleration)

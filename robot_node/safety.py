@@ -26,7 +26,7 @@ class TorqueGuard:
 
     def accept(self, tau: np.ndarray) -> np.ndarray | None:
         """`tau` clamped, shape (nv − 6,) [N m]; None if any entry is not finite."""
-        if not np.isfinite(tau.sum()):
+        if not math.isfinite(tau.sum()):
             return None
         return np.minimum(np.maximum(tau, -self.limit), self.limit)
 

@@ -10,9 +10,10 @@ import time
 from dataclasses import dataclass
 from typing import Protocol
 
-# A sleeping thread wakes late by the kernel's timer slack; the last stretch is spun. Spinning all
-# the time would starve the other processes of the stack on a small machine.
-SPIN_NS = 120_000
+# A sleeping thread wakes late by what scheduling costs; the last stretch is spun. Each spun
+# microsecond is taken from the other processes of the stack, which is why `realtime.prepare` asks
+# for a short timer slack first.
+SPIN_NS = 30_000
 
 
 class Clock(Protocol):

@@ -173,6 +173,42 @@ def summary(
     return {**merge(skeleton, robot, edge, link), "versions": versions()}
 
 
+def summary_in_words(summary: dict[str, Any]) -> str:
+    """What happened, for a person."""
+
+    age, tick, solve = (
+        summary[key] for key in ("projector_age_ms", "robot_tick_ms", "edge_solve_ms")
+    )
+    lines = [
+        f"{'FELL' if summary['fell'] else 'Stands'} after {summary['task_seconds']:.2f} s of "
+        f"{summary['task']} with {summary['controller'].upper()} over {summary['network']}",
+        f"  CoM error {_number(summary['com_error_m'], 'cm', 100)}, contact violation "
+        f"{_number(summary['contact_violation_m_s2'], 'm/s²', digits=3)}",
+        "  commands "
+        + ", ".join(f"{count} {name}" for name, count in summary["commands"].items())
+        + f"; projector age p50 {_number(age['p50'], 'ms')}, p99 {_number(age['p99'], 'ms')}, "
+        f"max {_number(age['max'], 'ms')}",
+    ]
+    for name, way in summary["link"].items():
+        refused = sum((way["refused"] or {}).values())
+        error = way["delay_error_ms"]
+        lines.append(
+            f"  {name}: {way['sent']} sent, {way['received']} received, {way['lost']} lost, "
+            f"{refused} refused; delay error p50 {_number(error['p50'], 'ms')}, "
+            f"p99 {_number(error['p99'], 'ms')}"
+        )
+    lines += [
+        f"  robot tick p50 {_number(tick['p50'], 'ms')}, p99 {_number(tick['p99'], 'ms')}; "
+        f"edge solve p50 {_number(solve['p50'], 'ms')}, p99 {_number(solve['p99'], 'ms')}",
+        f"  overruns {summary['overruns']}; {summary['realtime_factor']} × real time",
+    ]
+    return "\n".join(lines)
+
+
+def _number(value: float | None, unit: str, scale: float = 1.0, *, digits: int = 2) -> str:
+    return "-" if value is None else f"{value * scale:.{digits}f} {unit}"
+
+
 def _mean(values: np.ndarray) -> float | None:
     finite = values[np.isfinite(values)]
     return float(f"{finite.mean():.6g}") if finite.size else None

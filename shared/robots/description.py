@@ -20,7 +20,7 @@ import pinocchio as pin
 MIN_SECOND_MOMENT = 1e-7
 
 
-class Foot(enum.Enum):
+class Foot(str, enum.Enum):
     """A foot by its side."""
 
     LEFT = "left"

@@ -103,14 +103,11 @@ class WholeBodyModel:
         return Jacobians(M_unactuated=M[:6].copy(), J_sole=J_sole, J_com=J_com)
 
     def sole_acceleration(
-        self, q: np.ndarray, v: np.ndarray, a: np.ndarray
-    ) -> dict[Foot, np.ndarray]:
-        """J a + J̇ v of each sole, (6,) in the sole frame, without forming J."""
+        self, foot: Foot, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> np.ndarray:
+        """J a + J̇ v of a sole, (6,) in the sole frame, without forming J."""
         pin.forwardKinematics(self.model, self.data, q, v, a)
-        return {
-            foot: pin.getFrameAcceleration(self.model, self.data, frame, pin.LOCAL).vector
-            for foot, frame in self._soles.items()
-        }
+        return pin.getFrameAcceleration(self.model, self.data, self._soles[foot], pin.LOCAL).vector
 
     def inverse_dynamics(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, wrenches: dict[Foot, np.ndarray]

@@ -15,6 +15,7 @@ dropped. `docs/maths.md` derives it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,10 +137,10 @@ def full_problem(stack: Stack, matrices: StackMatrices, b: np.ndarray) -> Quadra
 
 def _spd_inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a symmetric positive definite matrix by its Cholesky factor."""
-    factor, info = dpotrf(matrix, lower=1, clean=0)
+    factor, info = dpotrf(matrix, lower=1, clean=1)
     if info == 0:
         inverse, info = dpotri(factor, lower=1, overwrite_c=1)
-    if info != 0 or not np.isfinite(factor[-1, -1]):
+    if info != 0 or not math.isfinite(inverse[-1, -1]):
         raise np.linalg.LinAlgError("not positive definite")
-    lower = np.tril(inverse)
-    return lower + np.tril(inverse, -1).T
+    inverse.reshape(-1, order="F")[:: matrix.shape[0] + 1] *= 0.5
+    return inverse + inverse.T

@@ -11,6 +11,7 @@ Which is the default, and why, is in `docs/decisions/0002-qp-back-end.md`.
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
@@ -48,7 +49,7 @@ class QuadraticProgram:
         total = self.H.sum() + self.g.sum() + self.C.sum() + self.l.sum()
         if self.E is not None and self.e is not None:
             total += self.E.sum() + self.e.sum()
-        return bool(np.isfinite(total))
+        return math.isfinite(total)
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,7 @@ class ProxsuiteSolver:
     name = "proxsuite"
 
     _ACCURACY = 1e-9
+    _MAX_ITERATIONS, _MAX_INNER_ITERATIONS = 500, 100
     _STATUS: ClassVar = {
         proxqp.QPSolverOutput.PROXQP_SOLVED: QpStatus.SOLVED,
         proxqp.QPSolverOutput.PROXQP_PRIMAL_INFEASIBLE: QpStatus.INFEASIBLE,
@@ -150,6 +152,9 @@ class ProxsuiteSolver:
             workspace.settings.eps_abs = self._ACCURACY
             workspace.settings.eps_rel = 0.0
             workspace.settings.check_duality_gap = False
+            # The defaults allow minutes on an infeasible problem.
+            workspace.settings.max_iter = self._MAX_ITERATIONS
+            workspace.settings.max_iter_in = self._MAX_INNER_ITERATIONS
             workspace.init(*data)
             self._workspaces[n, m_e, m] = workspace
         else:

@@ -12,13 +12,14 @@ constant, so `bounds` is a single entry, always 1: a projector's last column hol
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from shared.config import WbcConfig
 from shared.motion.reference import Reference
-from shared.robots import Robot
+from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactGeometry, ContactMode, contact_geometry
 from shared.wbc.model import Jacobians, Kinematics
 from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, Task
@@ -103,7 +104,7 @@ class Stack:
                 ("bounds", 1),
             ),
         )
-        self._sqrt_weights = [float(np.sqrt(task.weight)) for task in self.tasks]
+        self._weighted_tasks = [(task, math.sqrt(task.weight), task.size) for task in self.tasks]
         self._n_rows = self.layout.n_rows
         self._n_equalities = N_DYNAMICS + ROWS_PER_CONTACT * len(mode.feet)
         task_rows = sum(task.size for task in self.tasks)
@@ -117,42 +118,49 @@ class Stack:
         √ω (s̈* − J̇ v); a final 1.
         """
         b = np.empty(self._n_rows)
-        b[:N_DYNAMICS] = -kinematics.h[:N_DYNAMICS]
+        np.negative(kinematics.h[:N_DYNAMICS], out=b[:N_DYNAMICS])
         row = N_DYNAMICS
         for foot in self.mode.feet:
-            b[row : row + ROWS_PER_CONTACT] = (
-                -kinematics.sole_drift[foot] - self.contact_damping * kinematics.sole_velocity[foot]
-            )
+            rows = b[row : row + ROWS_PER_CONTACT]
+            np.multiply(kinematics.sole_velocity[foot], -self.contact_damping, out=rows)
+            rows -= kinematics.sole_drift[foot]
             row += ROWS_PER_CONTACT
-        for task, sqrt_weight in zip(self.tasks, self._sqrt_weights, strict=True):
-            b[row : row + task.size] = sqrt_weight * task.target(kinematics, reference)
-            row += task.size
+        for task, sqrt_weight, size in self._weighted_tasks:
+            target = task.target(kinematics, reference)
+            np.multiply(target, sqrt_weight, out=b[row : row + size])
+            row += size
         b[row] = 1.0
         return b
 
     def matrices(self, jacobians: Jacobians) -> StackMatrices:
         """E_a, E_f and A of Eq. (5) at one configuration."""
         feet = self.mode.feet
-        E_a = np.vstack([jacobians.M_unactuated, *(jacobians.J_sole[foot] for foot in feet)])
-        E_f = np.hstack(
+        E_a = np.concatenate([jacobians.M_unactuated, *(jacobians.J_sole[foot] for foot in feet)])
+        E_f = np.concatenate(
             [
                 -jacobians.J_sole[foot][:, :N_DYNAMICS].T @ self.contacts.wrench_map[foot]
                 for foot in feet
-            ]
+            ],
+            axis=1,
         )
-        A = np.vstack(
+        A = np.concatenate(
             [
                 sqrt_weight * task.jacobian(jacobians)
-                for task, sqrt_weight in zip(self.tasks, self._sqrt_weights, strict=True)
+                for task, sqrt_weight, _ in self._weighted_tasks
             ]
         )
         return StackMatrices(E_a=E_a, E_f=E_f, A=A)
 
-    def contact_violation(self, kinematics: Kinematics, sole_acceleration: np.ndarray) -> float:
-        """‖J_c a + J̇_c v‖ of the first loaded foot without the contact damping term [m/s²].
+    @property
+    def support_foot(self) -> Foot:
+        """The foot whose contact violation is reported, Sec. IV-C: the first loaded one."""
+        return self.mode.feet[0]
 
-        Sec. IV-C reports the left foot in double support. The damping the contact rows ask for is
-        wanted, so it is not counted as a violation.
+    def contact_violation(self, kinematics: Kinematics, sole_acceleration: np.ndarray) -> float:
+        """‖J_c a + J̇_c v‖ of the support foot without the contact damping term [m/s²].
+
+        The damping the contact rows ask for is wanted, so it is not counted as a violation.
         """
-        velocity = kinematics.sole_velocity[self.mode.feet[0]]
-        return float(np.linalg.norm(sole_acceleration + self.contact_damping * velocity))
+        velocity = kinematics.sole_velocity[self.support_foot]
+        violation = sole_acceleration + self.contact_damping * velocity
+        return math.sqrt(violation @ violation)

@@ -7,6 +7,7 @@ name of the check that failed. Order and freshness are judged later, by who keep
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import msgpack
@@ -130,15 +131,15 @@ class Codec:
         active = fields.get("active")
         if not isinstance(active, bytes) or len(active) > layout.n_forces:
             raise MessageRefused("shape", "active")
-        rows = np.frombuffer(active, dtype=np.uint8).astype(int)
-        if rows.size and (rows[-1] >= self._n_inequalities[mode] or np.any(np.diff(rows) <= 0)):
+        rows = list(active)
+        if rows != sorted(set(rows)) or (rows and rows[-1] >= self._n_inequalities[mode]):
             raise MessageRefused("shape", "active")
         shape = (layout.n_unknowns, layout.n_rows)
         return TimedProjector(
             projector=Projector(
                 mode=mode,
                 A_dagger=_array(fields, "A_dagger", shape, dtype=_DTYPES[dtype]),
-                active=rows,
+                active=np.array(rows, dtype=int),
             ),
             valid_from_ns=_integer(fields, "valid_from_ns"),
             valid_until_ns=_integer(fields, "valid_until_ns"),
@@ -194,10 +195,10 @@ def _array(
     dtype: np.dtype[Any] = _DTYPES["float64"],
 ) -> np.ndarray:
     data = fields.get(name)
-    if not isinstance(data, bytes) or len(data) != dtype.itemsize * int(np.prod(shape)):
+    if not isinstance(data, bytes) or len(data) != dtype.itemsize * math.prod(shape):
         raise MessageRefused("shape", name)
-    array = np.frombuffer(data, dtype=dtype).astype(np.float64).reshape(shape)
+    array = np.frombuffer(data, dtype=dtype).astype(np.float64, copy=False).reshape(shape)
     # One reduction instead of a mask: a sum is finite only if every term is.
-    if not np.isfinite(array.sum()):
+    if not math.isfinite(array.sum()):
         raise MessageRefused("not_finite", name)
     return array

@@ -1,0 +1,166 @@
+"""The controller's parts, the whole robot tick, the whole edge step, and lockstep speed.
+
+States are taken from a disturbed standing robot, so that active sets differ from call to call.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from benchmarks.timing import Timing, header, measure, table
+from edge_node.node import EdgeNode
+from experiments.lockstep import Lockstep
+from robot_node.node import RobotNode
+from shared.config import RunConfig, load_config
+from shared.motion.reference import Standing
+from shared.robots import Robot, load_robot
+from shared.wbc.contacts import ContactMode
+from shared.wbc.model import Jacobians, Kinematics, WholeBodyModel
+from shared.wbc.projector import (
+    CondensedQp,
+    Projector,
+    condense,
+    factorise,
+    full_problem,
+    solve,
+)
+from shared.wbc.qp import DaqpSolver, ProxsuiteSolver, QuadraticProgram
+from shared.wbc.stack import Stack, StackMatrices
+from shared.wbc.torque import recover_torque
+
+_N_STATES = 64
+_REFERENCE = "QP, all 61 unknowns, daqp cold"
+
+
+@dataclass(frozen=True)
+class _Case:
+    """Everything that the parts need at one state."""
+
+    q: np.ndarray
+    v: np.ndarray
+    kinematics: Kinematics
+    jacobians: Jacobians
+    matrices: StackMatrices
+    b: np.ndarray
+    condensed: CondensedQp
+    full: QuadraticProgram
+    active: np.ndarray
+    projector: Projector
+    y: np.ndarray
+
+
+def run(*, repetitions: int, seed: int) -> str:
+    """Measure everything; the table as text."""
+    config = RunConfig()
+    robot = load_robot(config.robot.name)
+    top = header()
+    timings = [*_parts(robot, config, repetitions, seed), *_nodes(robot, config, repetitions)]
+    return "\n".join(
+        [
+            f"{top}; seed {seed}, {repetitions} repetitions",
+            "",
+            table(timings, reference=_REFERENCE),
+            "",
+            _lockstep(),
+        ]
+    )
+
+
+def _parts(robot: Robot, config: RunConfig, repetitions: int, seed: int) -> list[Timing]:
+    model = WholeBodyModel(robot)
+    stack = Stack(robot, config.wbc, ContactMode.DOUBLE_SUPPORT)
+    reference = Standing(robot).reference(0)
+    daqp, proxsuite = DaqpSolver(), ProxsuiteSolver()
+    cases = _cases(robot, model, stack, config, seed)
+
+    def timed(name: str, operation: Callable[[_Case], object]) -> Timing:
+        return measure(name, operation, cases, repetitions=repetitions)
+
+    return [
+        timed("terms of b (robot)", lambda c: model.kinematics(c.q, c.v)),
+        timed("b", lambda c: stack.right_hand_side(c.kinematics, reference)),
+        timed("terms of A (edge)", lambda c: model.jacobians(c.q)),
+        timed("A", lambda c: stack.matrices(c.jacobians)),
+        timed("condense to forces", lambda c: condense(stack, c.matrices, c.b)),
+        timed("QP in forces, daqp cold", lambda c: daqp.solve(c.condensed.problem)),
+        timed(
+            "QP in forces, daqp warm",
+            lambda c: daqp.solve(c.condensed.problem, warm_active=c.active),
+        ),
+        timed("QP in forces, proxsuite cold", lambda c: proxsuite.solve(c.condensed.problem)),
+        timed(
+            "QP in forces, proxsuite warm",
+            lambda c: proxsuite.solve(c.condensed.problem, warm_active=c.active),
+        ),
+        timed(_REFERENCE, lambda c: daqp.solve(c.full)),
+        timed("QP, all 61 unknowns, proxsuite cold", lambda c: proxsuite.solve(c.full)),
+        timed("projector from active set", lambda c: factorise(stack, c.condensed, c.active)),
+        timed("condense + QP + projector", lambda c: solve(stack, c.matrices, c.b, solver=daqp)),
+        timed("apply projector", lambda c: c.projector.apply(c.b)),
+        timed("torque recovery", lambda c: recover_torque(model, stack.contacts, c.q, c.v, c.y)),
+    ]
+
+
+def _cases(
+    robot: Robot, model: WholeBodyModel, stack: Stack, config: RunConfig, seed: int
+) -> list[_Case]:
+    rng = np.random.default_rng(seed)
+    reference = Standing(robot).reference(0)
+    daqp = DaqpSolver()
+    cases = []
+    for _ in range(_N_STATES):
+        q = pin.integrate(robot.model, robot.q_standing, 0.03 * rng.standard_normal(model.nv))
+        v = 0.1 * rng.standard_normal(model.nv)
+        kinematics, jacobians = model.kinematics(q, v), model.jacobians(q)
+        matrices = stack.matrices(jacobians)
+        b = stack.right_hand_side(kinematics, reference)
+        condensed = condense(stack, matrices, b)
+        active = daqp.solve(condensed.problem).active
+        projector = factorise(stack, condensed, active)
+        full = full_problem(stack, matrices, b)
+        y = projector.apply(b)
+        cases.append(
+            _Case(q, v, kinematics, jacobians, matrices, b, condensed, full, active, projector, y)
+        )
+    return cases
+
+
+def _nodes(robot: Robot, config: RunConfig, repetitions: int) -> list[Timing]:
+    """Whole tick and whole step in closed loop, codec included, plant excluded."""
+    robot_node = RobotNode(robot, config, Standing(robot), session=1)
+    edge_node = EdgeNode(robot, config, Standing(robot))
+    ticks, steps, plant = (np.empty(repetitions) for _ in range(3))
+    up = down = 0
+    for k in range(repetitions):
+        start = time.perf_counter_ns()
+        state = robot_node.measure(0)
+        measured = time.perf_counter_ns()
+        edge_node.receive(state)
+        answer = edge_node.step()
+        answered = time.perf_counter_ns()
+        assert answer is not None
+        assert answer.data is not None
+        robot_node.receive(answer.data)
+        command = robot_node.command(0)
+        ticks[k] = measured - start + time.perf_counter_ns() - answered
+        steps[k] = answered - measured
+        commanded = time.perf_counter_ns()
+        robot_node.advance(command)
+        plant[k] = time.perf_counter_ns() - commanded
+        up, down = max(up, len(state)), max(down, len(answer.data))
+    return [
+        Timing.of("robot tick: measure, receive, command", ticks),
+        Timing.of(f"edge step ({up} B in, {down} B out)", steps),
+        Timing.of("plant: MuJoCo step, standing", plant),
+    ]
+
+
+def _lockstep() -> str:
+    config = load_config(None, {"controller": "la", "link.network": "constant:50ms"})
+    factor = Lockstep(config).run().summary["realtime_factor"]
+    return f"lockstep balance, LA, 50 ms: {factor:.2f} × real time"

@@ -1,0 +1,100 @@
+"""Timing of one call after another on one pinned core, and the table that shows it."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from shared.report import versions
+
+_WARM_UP = 50
+
+Sample = TypeVar("Sample")
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Duration of one operation in milliseconds."""
+
+    name: str
+    p50_ms: float
+    p99_ms: float
+
+    @staticmethod
+    def of(name: str, durations_ns: np.ndarray) -> Timing:
+        """Quantiles of measured durations."""
+        p50, p99 = np.percentile(durations_ns, [50, 99]) * 1e-6
+        return Timing(name, float(p50), float(p99))
+
+
+def pin_to_one_core() -> str:
+    """Keep this process on one core; says which."""
+    try:
+        core = max(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {core})
+    except (AttributeError, OSError):
+        return "not pinned (the system does not allow it)"
+    return f"pinned to core {core}"
+
+
+def machine() -> str:
+    """CPU name, and what else was running: numbers from a busy machine are to be distrusted."""
+    name = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                name = line.split(":", 1)[1].strip()
+                break
+    load = f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
+    return f"{name}, {os.cpu_count()} cores, load average {load}"
+
+
+def measure(
+    name: str,
+    operation: Callable[[Sample], object],
+    samples: Sequence[Sample],
+    *,
+    repetitions: int,
+) -> Timing:
+    """Time `operation` on the samples in turn."""
+    supply = itertools.cycle(samples)
+    for _ in range(_WARM_UP):
+        operation(next(supply))
+    durations = np.empty(repetitions)
+    gc.disable()
+    for k in range(repetitions):
+        sample = next(supply)
+        start = time.perf_counter_ns()
+        operation(sample)
+        durations[k] = time.perf_counter_ns() - start
+    gc.enable()
+    return Timing.of(name, durations)
+
+
+def table(timings: Sequence[Timing], *, reference: str) -> str:
+    """Aligned text: name, p50, p99, and p50 as a ratio of the reference operation's p50."""
+    base = next(timing.p50_ms for timing in timings if timing.name == reference)
+    width = max(len(timing.name) for timing in timings)
+    lines = [f"{'':{width}}  p50 [ms]  p99 [ms]  p50 / ({reference})"]
+    lines += [
+        f"{timing.name:{width}}  {timing.p50_ms:8.4f}  {timing.p99_ms:8.4f}  "
+        f"{timing.p50_ms / base:8.3f}"
+        for timing in timings
+    ]
+    return "\n".join(lines)
+
+
+def header() -> str:
+    """Machine and versions, to stand above any number."""
+    packages = ", ".join(f"{name} {version}" for name, version in versions().items())
+    return f"{machine()}; {pin_to_one_core()}; one BLAS thread\n{packages}"

@@ -1,0 +1,82 @@
+"""The edge as a process: `python -m edge_node --listen tcp/…`."""
+
+from __future__ import annotations
+
+# isort: off
+import shared.single_thread  # noqa: F401
+
+# isort: on
+import time
+
+from edge_node.node import EdgeNode
+from shared.bus.base import Inbox
+from shared.bus.zenoh_bus import ZenohBus
+from shared.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
+from shared.motion.reference import Standing
+from shared.realtime import prepare, suspend_garbage_collection
+from shared.report import edge_report
+from shared.robots import load_robot
+from shared.service import EDGE_ENDPOINT, ServiceLog, StopSignal, add_service_arguments
+from shared.telemetry import SOLVE_SCHEMA
+from shared.wire.channels import DOWNLINK, SOLVES_KEY, UPLINK
+
+_PRIORITY = 10
+_POLL_NS = 50_000_000
+
+
+def main() -> int:
+    parser = Parser(prog="edge_node", description=__doc__)
+    parser.add_argument(
+        "--listen", metavar="ENDPOINT", default=EDGE_ENDPOINT, help="(default %(default)s)"
+    )
+    add_service_arguments(parser)
+    add_run_arguments(parser)
+    arguments = parser.parse_args()
+    config = config_from(arguments)
+    robot = load_robot(config.robot.name)
+    node = EdgeNode(robot, config, Standing(robot))
+    stop = StopSignal()
+    scheduling = prepare(priority=_PRIORITY)
+    bus = ZenohBus(listen=[arguments.listen])
+    log = ServiceLog(
+        "edge", SOLVE_SCHEMA, out=arguments.out, telemetry=arguments.telemetry, key=SOLVES_KEY
+    )
+    inbox = Inbox()
+    bus.subscribe(UPLINK.key_for(robot.name), inbox.put)
+    downlink = bus.publisher(DOWNLINK.key_for(robot.name))
+    suspend_garbage_collection()
+    print(f"READY {arguments.listen} ({scheduling}; {config.wbc.solver})", flush=True)
+
+    while not stop.requested:
+        inbox.wait(_POLL_NS)
+        for data in inbox.take():
+            node.receive(data)
+        started_ns = time.monotonic_ns()
+        answer = node.step()
+        if answer is None:
+            continue
+        if answer.data is not None:
+            downlink.publish(answer.data)
+        solve_ns = time.monotonic_ns() - started_ns
+        answer.record(log.rows.row(), wall_ns=started_ns, solve_ns=solve_ns)
+    bus.close()
+    report = log.finish(
+        lambda rows: edge_report(
+            rows,
+            statuses=dict(node.solved),
+            sent=downlink.sent,
+            received=inbox.counter.received,
+            lost=inbox.counter.lost,
+            refused=dict(node.refused),
+        )
+    )
+    print(
+        f"stopped: {downlink.sent} projectors sent, solve p50 {report['edge_solve_ms']['p50']} ms, "
+        f"refused {dict(node.refused) or 'none'}",
+        flush=True,
+    )
+    return EXIT_STANDING
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,55 @@
+"""One lockstep trial from the command line: the same files and exit codes as a live run."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from experiments.lockstep import Lockstep, TrialResult
+from shared.cli import EXIT_FELL, EXIT_STANDING, add_run_arguments, config_from
+from shared.config import RunConfig, dump_config
+from shared.errors import ConfigError
+from shared.report import summary_in_words, versions
+from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, write_parquet
+
+
+def add_trial_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `trial`."""
+    add_run_arguments(parser)
+    parser.add_argument(
+        "--json", metavar="FILE", help="write the summary as JSON; - for standard output alone"
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, help="folder for the run's files")
+
+
+def run_trial(arguments: argparse.Namespace) -> int:
+    """Play one trial; 0 standing, 3 fell."""
+    config = config_from(arguments)
+    result = Lockstep(config).run()
+    text = json.dumps(result.summary, indent=2) + "\n"
+    try:
+        if arguments.out is not None:
+            write_run(arguments.out, config, result)
+        if arguments.json not in (None, "-"):
+            Path(arguments.json).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"cannot write {error.filename}: {error.strerror}") from None
+    if arguments.json == "-":
+        sys.stdout.write(text)
+    else:
+        print(summary_in_words(result.summary))
+    return EXIT_FELL if result.summary["fell"] else EXIT_STANDING
+
+
+def write_run(out: Path, config: RunConfig, result: TrialResult) -> None:
+    """The files of a run, as `deploy/up` leaves them, without logs and recording."""
+    out.mkdir(parents=True, exist_ok=True)
+    text = dump_config(config, versions=versions())
+    (out / "config.toml").write_text(text, encoding="utf-8")
+    text = json.dumps(result.summary, indent=2) + "\n"
+    (out / "summary.json").write_text(text, encoding="utf-8")
+    write_parquet(result.schema, result.rows, out / "telemetry.parquet")
+    write_parquet(LINK_SCHEMA, result.link_rows, out / "link.parquet")
+    write_parquet(SOLVE_SCHEMA, result.solve_rows, out / "edge.parquet")

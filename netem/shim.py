@@ -1,0 +1,151 @@
+"""The shim: two delay lines between a near side (the robot) and a far side (the edge).
+
+Messages come in on the buses' threads and go out on one releasing thread, which sleeps until just
+before the next one is due and spins the rest. A message is due a nominal delay after it was *sent*
+if sender and shim read the same clock, else after it arrived. Payloads are opaque.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from netem.delay_line import DelayLine, Due
+from netem.profile import DIRECTIONS, DelayProfile
+from shared.bus.base import Delivery, Publisher
+from shared.clock import sleep_until
+from shared.config import LinkConfig
+from shared.telemetry import LINK_SCHEMA, RowLog
+
+_SPIN_NS = 30_000
+_IDLE_SECONDS = 0.1
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Where each direction's messages go on: `uplink` on the far bus, `downlink` on the near."""
+
+    uplink: Publisher
+    downlink: Publisher
+
+
+class Shim:
+    """Delays messages both ways. `receive` is given to the buses, `run` to a thread."""
+
+    def __init__(
+        self,
+        profile: DelayProfile,
+        config: LinkConfig,
+        *,
+        seed: int,
+        sides: Sides,
+        log: RowLog,
+        clock: int,
+        say: Callable[[str], None],
+    ) -> None:
+        self._profile = profile
+        self._config = config
+        self._seed = seed
+        self._publishers = (sides.uplink, sides.downlink)
+        self._log = log
+        self._clock = clock
+        self._say = say
+        self._lines: tuple[DelayLine[Delivery], ...] = ()
+        self._changed = threading.Condition()
+        self.passes = 0
+
+    def receive(self, direction: int) -> Callable[[Delivery], None]:
+        """What takes in the messages of one direction."""
+
+        def take(delivery: Delivery) -> None:
+            envelope = delivery.envelope
+            same_clock = envelope is not None and envelope.clock == self._clock
+            sent_ns = envelope.sent_ns if envelope and same_clock else time.monotonic_ns()
+            with self._changed:
+                if not self._lines:
+                    self._start(sent_ns)
+                line = self._lines[direction]
+                due_ns = line.push(delivery, sent_ns=sent_ns)
+                if due_ns is None:
+                    lost = Due(delivery, sent_ns, 0)
+                    record_message(self._log.row(), direction, lost, released_ns=None)
+                elif line.next_due_ns == due_ns:
+                    self._changed.notify()
+
+        return take
+
+    def run(self, stopping: Callable[[], bool]) -> None:
+        """Release messages until `stopping()`."""
+        while not stopping():
+            due_ns = self._wait_for_work()
+            if due_ns is None:
+                continue
+            sleep_until(due_ns, spin_ns=_SPIN_NS)
+            self._release()
+
+    def _start(self, now_ns: int) -> None:
+        """The profile begins with the first message."""
+        offset_ns = self._profile.start_offset_ns(self._seed)
+        self._lines = tuple(
+            DelayLine(
+                self._profile,
+                direction,
+                start_ns=now_ns,
+                offset_ns=offset_ns,
+                loss=self._config.loss,
+                keep_order=self._config.keep_order,
+                rng=np.random.default_rng([self._seed, 2, direction]),
+            )
+            for direction in range(len(DIRECTIONS))
+        )
+        self._say(f"replaying {self._profile.name} from {offset_ns * 1e-9:.3f} s")
+
+    def _wait_for_work(self) -> int | None:
+        """When the next message is due, once that is near; None if there is nothing yet."""
+        with self._changed:
+            due = [line.next_due_ns for line in self._lines if line.next_due_ns is not None]
+            if not due:
+                self._changed.wait(_IDLE_SECONDS)
+                return None
+            remaining_ns = min(due) - time.monotonic_ns()
+            if remaining_ns > _SPIN_NS:
+                self._changed.wait((remaining_ns - _SPIN_NS) * 1e-9)
+                return None
+            return min(due)
+
+    def _release(self) -> None:
+        with self._changed:
+            now_ns = time.monotonic_ns()
+            ready = [line.pop_due(now_ns) for line in self._lines]
+            passes = self._lines[0].passes(now_ns)
+        released = []
+        for direction, messages in enumerate(ready):
+            for due in messages:
+                self._publishers[direction].forward(due.item)
+                released.append((direction, due, time.monotonic_ns()))
+        with self._changed:
+            for direction, due, released_ns in released:
+                record_message(self._log.row(), direction, due, released_ns=released_ns)
+        if passes > self.passes:
+            self.passes = passes
+            if self._profile.delays_ns.shape[1] > 1:
+                seconds = self._profile.duration_ns * 1e-9
+                self._say(f"profile {self._profile.name} ended after {seconds:g} s: from its start")
+
+
+def record_message(
+    row: np.ndarray, direction: int, due: Due[Delivery], *, released_ns: int | None
+) -> None:
+    """Fill a row of `LINK_SCHEMA`; `released_ns` None for a message the link lost."""
+    columns = LINK_SCHEMA.slices
+    envelope = due.item.envelope
+    row[columns["wall_ns"]] = due.sent_ns
+    row[columns["direction"]] = direction
+    row[columns["sequence"]] = -1 if envelope is None else envelope.sequence
+    row[columns["bytes"]] = len(due.item.data)
+    row[columns["nominal_ns"]] = due.nominal_ns
+    row[columns["achieved_ns"]] = -1 if released_ns is None else released_ns - due.sent_ns

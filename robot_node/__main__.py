@@ -1,0 +1,97 @@
+"""The robot as a process: `python -m robot_node --connect tcp/…`."""
+
+from __future__ import annotations
+
+# isort: off
+import shared.single_thread  # noqa: F401
+
+# isort: on
+from typing import Any
+
+import numpy as np
+
+from robot_node.live import LiveLoop, Narrator
+from robot_node.node import RobotNode
+from shared.bus.base import Inbox
+from shared.bus.zenoh_bus import ZenohBus
+from shared.cli import EXIT_FELL, EXIT_STANDING, Parser, add_run_arguments, config_from, run
+from shared.errors import LinkError
+from shared.motion.reference import Standing
+from shared.realtime import prepare, suspend_garbage_collection
+from shared.report import robot_report
+from shared.robots import load_robot
+from shared.service import NETEM_ENDPOINT, ServiceLog, StopSignal, add_service_arguments
+from shared.wire.channels import DOWNLINK, TICKS_KEY, UPLINK
+
+_PRIORITY = 20
+_EXIT_INTERRUPTED = 130
+
+
+def main() -> int:
+    parser = Parser(prog="robot_node", description=__doc__)
+    parser.add_argument(
+        "--connect",
+        metavar="ENDPOINT",
+        default=NETEM_ENDPOINT,
+        help="the shim, or the edge itself (default %(default)s)",
+    )
+    add_service_arguments(parser)
+    add_run_arguments(parser)
+    arguments = parser.parse_args()
+    config = config_from(arguments)
+    robot = load_robot(config.robot.name)
+    node = RobotNode(robot, config, Standing(robot))
+    stop = StopSignal()
+    scheduling = prepare(priority=_PRIORITY)
+    bus = ZenohBus(connect=[arguments.connect])
+    log = ServiceLog(
+        "telemetry",
+        node.schema,
+        out=arguments.out,
+        telemetry=arguments.telemetry,
+        key=TICKS_KEY.format(robot=robot.name),
+    )
+    inbox = Inbox()
+    uplink = bus.publisher(UPLINK.key_for(robot.name))
+    loop = LiveLoop(node, config.loop, uplink=uplink, inbox=inbox, log=log.rows)
+    bus.subscribe(DOWNLINK.key_for(robot.name), loop.receive)
+    suspend_garbage_collection()
+    print(f"READY {robot.name} → {arguments.connect} ({scheduling})", flush=True)
+
+    failure: LinkError | None = None
+    with Narrator(loop, lambda text: print(text, flush=True)):
+        try:
+            loop.run(duration_ns=round(config.duration * 1e9), stopping=lambda: stop.requested)
+        except LinkError as error:
+            failure = error
+    bus.close()
+
+    def make_report(rows: np.ndarray) -> dict[str, Any]:
+        return robot_report(
+            node.schema,
+            rows,
+            fell=node.fallen,
+            wall_seconds=loop.wall_seconds,
+            sent=uplink.sent,
+            received=inbox.counter.received,
+            lost=inbox.counter.lost,
+            refused=dict(node.cache.refused),
+        )
+
+    report = log.finish(make_report)
+    if failure is not None:
+        raise failure
+    outcome = "fell" if node.fallen else "stands"
+    print(
+        f"{outcome} after {report['task_seconds']:.2f} s: commands {report['commands']}, CoM error "
+        f"{100 * (report['com_error_m'] or 0):.2f} cm, overruns {report['overruns']}",
+        flush=True,
+    )
+    if node.fallen:
+        return EXIT_FELL
+    finished = node.time_ns >= round(config.duration * 1e9)
+    return EXIT_STANDING if finished else _EXIT_INTERRUPTED
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,162 @@
+"""The robot against the wall clock: the two phases of the tick on an absolute 1 kHz schedule.
+
+Nothing in the loop prints, writes or waits for anybody: rows go to a background thread, and what
+happens is told by `Narrator`, which looks at the loop ten times a second.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from robot_node.controllers import Source
+from robot_node.node import RobotNode
+from shared.bus.base import Delivery, Inbox, Publisher
+from shared.clock import MonotonicClock, Ticker, sleep_until
+from shared.config import LoopConfig
+from shared.errors import LinkError
+from shared.telemetry import RowLog
+
+# An answer older than this is worth a word: no healthy link is that slow.
+STALE_NS = 250_000_000
+
+
+@dataclass
+class Progress:
+    """What the loop shows to others, overwritten every tick."""
+
+    time_ns: int = 0
+    source: Source = Source.HELD
+    age_ns: int = -1
+    overruns: int = 0
+    running: bool = False
+
+
+class LiveLoop:
+    """Runs a robot node in real time.
+
+    Eq. (7) has the robot wait d* for the answer to this tick's state. While the last answer took
+    longer than d* to come, the wait would be in vain, and the command follows at once.
+    """
+
+    def __init__(
+        self, node: RobotNode, config: LoopConfig, *, uplink: Publisher, inbox: Inbox, log: RowLog
+    ) -> None:
+        self.progress = Progress()
+        self.wall_seconds = 0.0
+        self._node = node
+        self._config = config
+        self._uplink = uplink
+        self._inbox = inbox
+        self._log = log
+        self._clock = MonotonicClock()
+        self._arrived_ns = 0
+        self._round_trip_ns = 0
+
+    def receive(self, delivery: Delivery) -> None:
+        """Take in a message from the edge; called on the bus's thread."""
+        self._arrived_ns = self._clock.now_ns()
+        self._inbox.put(delivery)
+
+    def run(self, *, duration_ns: int, stopping: Callable[[], bool]) -> None:
+        """Until the task lasted `duration_ns`, the robot fell, or `stopping()`.
+
+        `LinkError` if no projector arrives within the connect timeout.
+        """
+        node, clock, config = self._node, self._clock, self._config
+        begun_ns = clock.now_ns()
+        ticker = Ticker(start_ns=begun_ns, period_ns=config.period_ns)
+        columns = node.schema.slices
+        task_began_ns = begun_ns
+        while node.time_ns < duration_ns and not node.fallen and not stopping():
+            sleep_until(ticker.due_ns)
+            now_ns = clock.now_ns()
+            late_ns = now_ns - ticker.due_ns
+            self._uplink.publish(node.measure(now_ns))
+            measured_ns = clock.now_ns()
+
+            if self._round_trip_ns < config.fresh_within_ns:
+                # This phase needs no precise beginning, so it is not spun for.
+                sleep_until(ticker.due_ns + config.fresh_within_ns, spin_ns=0)
+            received_ns = clock.now_ns()
+            for data in self._inbox.take():
+                if node.receive(data):
+                    self._round_trip_ns = self._arrived_ns - node.cache.newest_stamp_ns
+            command = node.command(clock.now_ns())
+            commanded_ns = clock.now_ns()
+
+            row = self._log.row()
+            node.record(row, command)
+            row[columns["tick_ns"]] = measured_ns - now_ns + commanded_ns - received_ns
+            row[columns["late_ns"]] = late_ns
+            row[columns["overruns"]] = ticker.overruns
+            was_running = node.running
+            node.advance(command)
+
+            now_ns = clock.now_ns()
+            if not node.running:
+                self._check_timeout(now_ns - begun_ns)
+            elif not was_running:
+                # Overruns while waiting are nobody's; the count begins with the task.
+                task_began_ns, ticker.overruns = ticker.due_ns, 0
+            ticker.next(now_ns)
+            self.progress = Progress(
+                node.time_ns, command.source, command.age_ns, ticker.overruns, node.running
+            )
+        self.wall_seconds = (clock.now_ns() - task_began_ns) * 1e-9
+
+    def _check_timeout(self, waited_ns: int) -> None:
+        if waited_ns > self._config.connect_timeout * 1e9:
+            refused = dict(self._node.cache.refused)
+            raise LinkError(
+                f"no projector from the edge within {self._config.connect_timeout:g} s: received "
+                f"{self._inbox.counter.received} messages, refused {refused or 'none'}; is the "
+                "edge running with the same configuration, and is the endpoint right?"
+            )
+
+
+class Narrator:
+    """Says what happens to the robot, from a thread of its own."""
+
+    _PERIOD_SECONDS = 0.1
+
+    def __init__(self, loop: LiveLoop, say: Callable[[str], None]) -> None:
+        self._loop = loop
+        self._say = say
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="narrator", daemon=True)
+
+    def __enter__(self) -> Narrator:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._done.set()
+        self._thread.join(timeout=1.0)
+
+    def _watch(self) -> None:
+        running, stale_since, holding = False, 0.0, False
+        while not self._done.wait(self._PERIOD_SECONDS):
+            progress = self._loop.progress
+            if not progress.running:
+                continue
+            if not running:
+                running = True
+                self._say("first projector received: the task begins")
+            at = f"{progress.time_ns * 1e-9:.2f} s"
+            if progress.age_ns > STALE_NS and not stale_since:
+                stale_since = time.monotonic()
+                self._say(
+                    f"{at}: no projector for {progress.age_ns * 1e-6:.0f} ms, link stalled or edge "
+                    "lost; balancing on the cache"
+                )
+            elif 0 <= progress.age_ns <= STALE_NS and stale_since:
+                self._say(
+                    f"{at}: new projectors again after {time.monotonic() - stale_since:.2f} s"
+                )
+                stale_since = 0.0
+            if (progress.source is Source.HELD) != holding:
+                holding = not holding
+                self._say(f"{at}: {'holding the joints' if holding else 'joints released'}")

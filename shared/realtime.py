@@ -1,0 +1,33 @@
+"""Make the calling process fit for a periodic loop, as far as the system permits."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import sys
+
+_PR_SET_TIMERSLACK = 29
+
+
+def prepare(*, priority: int) -> str:
+    """Precise timers and real-time scheduling (SCHED_FIFO at `priority`); returns what was got.
+
+    Called before a bus is opened, so that the bus's own threads inherit both. Without permission
+    the process runs as any other, and says so. Memory is not locked: that made every allocation
+    fault its pages in at once and cost more than it saved (`docs/timing.md`).
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, AttributeError):
+        return "ordinary scheduling (real-time needs root or an rtprio limit)"
+    return f"SCHED_FIFO {priority}"
+
+
+def suspend_garbage_collection() -> None:
+    """No collector pauses from here on: loops allocate no cycles."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()

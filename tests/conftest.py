@@ -1,0 +1,77 @@
+"""What every test may use: one loaded robot, its model and stacks, and random states near standing.
+
+One thread per linear-algebra call, as the nodes run: results are the same to the last bit on every
+machine of one kind, and tests do not fight over cores.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["OMP_NUM_THREADS"] = "1"
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shared.config import RunConfig, load_config
+from shared.motion.reference import Reference, Standing
+from shared.robots import Robot, load_robot
+from shared.wbc.contacts import ContactMode
+from shared.wbc.model import WholeBodyModel
+from shared.wbc.stack import Stack
+from tests.states import State, random_states
+
+
+@pytest.fixture(scope="session")
+def config() -> RunConfig:
+    return RunConfig()
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    return load_robot("romeo")
+
+
+@pytest.fixture(scope="session")
+def model(robot: Robot) -> WholeBodyModel:
+    return WholeBodyModel(robot)
+
+
+@pytest.fixture(scope="session")
+def motion(robot: Robot) -> Standing:
+    return Standing(robot)
+
+
+@pytest.fixture(scope="session")
+def reference(motion: Standing) -> Reference:
+    return motion.reference(0)
+
+
+@pytest.fixture(scope="session")
+def stacks(robot: Robot, config: RunConfig) -> dict[ContactMode, Stack]:
+    return {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+
+
+@pytest.fixture(scope="session")
+def states(robot: Robot) -> list[State]:
+    """Fifty states from near standing to limbs all over the place, the same in every test."""
+    return random_states(robot, count=50, rng=np.random.default_rng(20))
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(1)
+
+
+@pytest.fixture(scope="session")
+def configured() -> Callable[..., RunConfig]:
+    """A configuration with dotted keys changed: `configured(**{"link.loss": 0.3})`."""
+
+    def build(**overrides: Any) -> RunConfig:
+        return load_config(None, overrides)
+
+    return build

@@ -1,0 +1,235 @@
+"""The three processes on loopback: delivery, safety, files, exit codes. Never microseconds."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shared.bus.base import Delivery
+from shared.bus.zenoh_bus import ZenohBus
+from shared.config import RunConfig, load_config
+from shared.robots import load_robot
+from shared.telemetry import read_parquet
+from shared.wire.channels import DOWNLINK
+from tests.live.conftest import Process, descendants_naming
+
+pytestmark = pytest.mark.live
+
+Start = Callable[..., Process]
+
+SUMMARY_KEYS = {
+    "fell",
+    "com_error_m",
+    "contact_violation_m_s2",
+    "commands",
+    "projector_age_ms",
+    "link",
+    "edge_solve_ms",
+    "robot_tick_ms",
+    "overruns",
+    "realtime_factor",
+    "log_hash",
+    "versions",
+}
+
+
+def test_up_balances_and_leaves_every_file(start: Start, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    up = start(
+        "deploy.up",
+        *("--view", "off", "--duration", "1.5", "--network", "constant:10ms"),
+        *("--push", "none", "--out", str(out)),
+    )
+    assert up.wait(seconds=90.0) == 0, up.output
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary.keys() >= SUMMARY_KEYS
+    assert summary["fell"] is False
+    assert sum(summary["commands"].values()) == 1500
+    assert summary["link"]["uplink"]["sent"] >= 1500
+    for way in ("uplink", "downlink"):
+        assert summary["link"][way]["refused"] == {}
+        assert summary["link"][way]["received"] > 0
+        assert summary["link"][way]["dropped_by_profile"] == 0
+    # Nothing can come back sooner than the link's round trip.
+    assert summary["projector_age_ms"]["p50"] > 10.0
+    schema, rows = read_parquet(out / "telemetry.parquet")
+    times = schema.column(rows, "time_ns")
+    times = times[times >= 0]
+    assert np.array_equal(np.diff(times), np.full(len(times) - 1, 1_000_000))
+    schema, rows = read_parquet(out / "link.parquet")
+    assert np.all(schema.column(rows, "achieved_ns") >= schema.column(rows, "nominal_ns"))
+    assert (out / "recording.rrd").stat().st_size > 10_000
+    config = load_config(out / "config.toml")
+    assert config.link.network == "constant:10ms"
+    for name in ("edge.log", "netem.log", "robot.log", "edge.parquet"):
+        assert (out / name).exists(), name
+    assert descendants_naming(str(out)) == []
+
+
+def test_up_says_with_its_exit_code_that_the_robot_fell(start: Start, tmp_path: Path) -> None:
+    up = start(
+        "deploy.up",
+        *("--view", "off", "--controller", "pr", "--network", "constant:120ms"),
+        *("--out", str(tmp_path / "run")),
+    )
+    assert up.wait(seconds=90.0) == 3, up.output
+    assert json.loads((tmp_path / "run/summary.json").read_text())["fell"] is True
+    assert "FELL" in up.output
+
+
+def test_interrupted_up_stops_everything_and_keeps_what_was_measured(
+    start: Start, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    up = start("deploy.up", "--view", "off", "--duration", "60", "--out", str(out))
+    up.wait_for("the task begins", seconds=60.0)
+    time.sleep(0.5)
+    up.signal(signal.SIGINT)
+    assert up.wait(seconds=60.0) == 130, up.output
+    assert json.loads((out / "summary.json").read_text())["task_seconds"] > 0.0
+    assert descendants_naming(str(out)) == []
+
+
+def test_death_of_a_service_ends_the_run_with_its_name(start: Start, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    up = start("deploy.up", "--view", "off", "--duration", "60", "--out", str(out))
+    up.wait_for("the task begins", seconds=60.0)
+    victim = [pid for pid in descendants_naming(str(out)) if _module(pid) == "netem"]
+    assert len(victim) == 1
+    os.kill(victim[0], signal.SIGKILL)
+    assert up.wait(seconds=60.0) == 2, up.output
+    assert "netem ended" in up.output
+    assert descendants_naming(str(out)) == []
+
+
+def test_direct_network_needs_no_shim(start: Start, endpoints: list[str]) -> None:
+    edge = start("edge_node", "--listen", endpoints[0])
+    edge.wait_for("READY")
+    robot = start("robot_node", "--connect", endpoints[0], "--duration", "1", "--push", "none")
+    assert robot.wait() == 0, robot.output
+
+
+def test_robot_balances_on_its_cache_while_the_edge_is_dead(
+    start: Start, endpoints: list[str], tmp_path: Path
+) -> None:
+    edge = start("edge_node", "--listen", endpoints[0])
+    shim = start(
+        "netem",
+        *("--listen", endpoints[1], "--connect", endpoints[0], "--profile", "constant:4ms"),
+    )
+    edge.wait_for("READY")
+    shim.wait_for("READY")
+    robot = start(
+        "robot_node",
+        *("--connect", endpoints[1], "--duration", "8", "--push", "none", "--out", str(tmp_path)),
+    )
+    robot.wait_for("the task begins")
+    time.sleep(0.5)
+    edge.signal(signal.SIGKILL)
+    robot.wait_for("balancing on the cache")
+    edge = start("edge_node", "--listen", endpoints[0])
+    robot.wait_for("new projectors again")
+    assert robot.wait() == 0, robot.output
+    schema, rows = read_parquet(tmp_path / "telemetry.parquet")
+    age_ms = schema.column(rows, "projector_age_ns") * 1e-6
+    assert age_ms.max() > 250.0
+    assert age_ms[-100:].max() < 250.0
+    assert np.all(np.isfinite(schema.column(rows, "tau")))
+
+
+def test_bad_messages_on_the_robots_key_are_counted_and_have_no_effect(
+    start: Start, endpoints: list[str], tmp_path: Path
+) -> None:
+    config = RunConfig()
+    robot_model = load_robot(config.robot.name)
+    edge = start("edge_node", "--listen", endpoints[0])
+    edge.wait_for("READY")
+    robot = start(
+        "robot_node",
+        *("--connect", endpoints[0], "--duration", "3", "--push", "none", "--out", str(tmp_path)),
+    )
+    robot.wait_for("the task begins")
+    rogue = ZenohBus(connect=[endpoints[0]], mode="client")
+    try:
+        stranger = rogue.publisher(DOWNLINK.key_for(robot_model.name))
+        time.sleep(0.5)
+        for _ in range(20):
+            for data in (b"garbage", b"", bytes(50_000)):
+                stranger.forward(Delivery(data, envelope=None))
+            time.sleep(0.01)
+        time.sleep(0.2)
+    finally:
+        rogue.close()
+    assert robot.wait() == 0, robot.output
+    report = json.loads((tmp_path / "telemetry.json").read_text())
+    refused = report["link"]["downlink"]["refused"]
+    assert refused.get("undecodable", 0) == 40
+    assert refused.get("oversized", 0) == 20
+    assert report["commands"]["held"] == 0
+    limit = config.robot.torque_clamp * robot_model.effort_limit
+    schema, rows = read_parquet(tmp_path / "telemetry.parquet")
+    assert np.all(np.abs(schema.column(rows, "tau")) <= limit + 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("deploy.up", "--colour", "red"), "unrecognized arguments"),
+        (("deploy.up", "--network", "no/such"), "expected a shipped profile"),
+        (("deploy.up", "--config", "absent.toml"), "cannot read absent.toml"),
+        (("deploy.up", "--push", "hard"), "push: expected"),
+        (("netem", "--listen", "127.0.0.1:1"), "expected PROTOCOL/HOST:PORT"),
+        (("edge_node", "--listen", "tcp/127.0.0.1:notaport"), "cannot open"),
+        (("robot_node", "--controller", "xx"), "expected one of la, pr"),
+    ],
+)
+def test_a_users_mistake_is_one_line_that_says_what_to_do(
+    start: Start, arguments: tuple[str, ...], expected: str
+) -> None:
+    process = start(*arguments)
+    assert process.wait() == 2, process.output
+    assert len(process.lines) == 1, process.output
+    assert expected in process.output
+
+
+def test_a_bad_trace_line_is_named(start: Start, tmp_path: Path) -> None:
+    trace = tmp_path / "mine.csv"
+    trace.write_text("uplink_ms,downlink_ms\n1.5,1.7\n1.5,soon\n")
+    process = start("netem", "--profile", str(trace))
+    assert process.wait() == 2
+    assert len(process.lines) == 1, process.output
+    assert "line 3" in process.output
+
+
+def test_a_port_in_use_is_one_line_and_leaves_nothing_running(start: Start) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        process = start("edge_node", "--listen", f"tcp/127.0.0.1:{port}")
+        assert process.wait() == 2
+    assert len(process.lines) == 1, process.output
+    assert "in use" in process.output
+
+
+def test_robot_without_an_edge_gives_up_with_a_reason(
+    start: Start, endpoints: list[str], tmp_path: Path
+) -> None:
+    config = tmp_path / "impatient.toml"
+    config.write_text("[loop]\nconnect_timeout = 1.0\n")
+    robot = start("robot_node", "--connect", endpoints[0], "--config", str(config))
+    assert robot.wait() == 2
+    assert "no projector from the edge within 1 s" in robot.output
+
+
+def _module(pid: int) -> str:
+    command = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+    return command[command.index(b"-m") + 1].decode() if b"-m" in command else ""

@@ -1,0 +1,64 @@
+"""Messages of the link as tests need them: good ones, and the same with fields changed."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import msgpack
+import numpy as np
+
+from shared.robots import Robot
+from shared.wbc.contacts import ContactMode
+from shared.wbc.projector import Projector
+from shared.wbc.stack import Stack
+from shared.wire.messages import ProjectorMessage, RobotState, TimedProjector
+
+FOR_EVER_NS = 2**62
+
+
+def make_state(robot: Robot, **changes: Any) -> RobotState:
+    """A robot standing at rest."""
+    state = RobotState(
+        session=5,
+        sequence=3,
+        stamp_ns=11_000_000,
+        time_ns=1_000_000,
+        mode=ContactMode.DOUBLE_SUPPORT,
+        q=robot.q_standing.copy(),
+        v=np.zeros(robot.model.nv),
+    )
+    return dataclasses.replace(state, **changes)
+
+
+def make_projector(stack: Stack, rng: np.random.Generator) -> Projector:
+    """Random numbers in the shape of a projector, with three active rows."""
+    layout = stack.layout
+    return Projector(
+        mode=stack.mode,
+        A_dagger=rng.standard_normal((layout.n_unknowns, layout.n_rows)),
+        active=np.array([1, 4, len(stack.contacts.l) - 1]),
+    )
+
+
+def make_answer(stack: Stack, rng: np.random.Generator, **changes: Any) -> ProjectorMessage:
+    """An answer with one random projector, valid for ever."""
+    layout = stack.layout
+    message = ProjectorMessage(
+        session=5,
+        sequence=3,
+        stamp_ns=11_000_000,
+        mode=stack.mode,
+        tau=10.0 * rng.standard_normal(layout.n_accelerations - 6),
+        y=100.0 * rng.standard_normal(layout.n_unknowns),
+        projectors=(TimedProjector(make_projector(stack, rng), 0, FOR_EVER_NS),),
+    )
+    return dataclasses.replace(message, **changes)
+
+
+def altered(data: bytes, change: Callable[[dict[str, Any]], Any]) -> bytes:
+    """The payload with its fields changed in place by `change`."""
+    fields = msgpack.unpackb(data)
+    change(fields)
+    return bytes(msgpack.packb(fields))

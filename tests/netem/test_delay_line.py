@@ -1,0 +1,201 @@
+"""What a cable may do to messages and what not, for any profile and any way of looking."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from netem.delay_line import DelayLine
+from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
+
+MS = 1_000_000
+DELAYS = st.lists(st.integers(0, 50 * MS) | st.just(LOST), min_size=1, max_size=20)
+LOSSLESS = st.lists(st.integers(0, 50 * MS), min_size=1, max_size=20)
+# Gaps between sendings, from a burst to an outage of the sender [ns].
+GAPS = st.lists(st.integers(0, 5 * MS), min_size=1, max_size=40)
+
+examples = settings(max_examples=150, deadline=None, derandomize=True)
+
+
+def profile_of(uplink, downlink=None):
+    return DelayProfile("test", np.array([uplink, uplink if downlink is None else downlink]))
+
+
+def make_line(uplink, direction=UPLINK, *, downlink=None, seed=0, **options):
+    options = {"start_ns": 0, **options}
+    rng = np.random.default_rng(seed)
+    return DelayLine(profile_of(uplink, downlink), direction, rng=rng, **options)
+
+
+def sending_times(gaps):
+    return np.cumsum(gaps).tolist()
+
+
+def release_all(line, times, looks):
+    """Push number k at times[k] and look at the given times as well; (item, released at)."""
+    released = []
+    pushes = [(time, 0, k) for k, time in enumerate(times)]
+    for time, is_look, k in sorted(pushes + [(time, 1, -1) for time in looks]):
+        if is_look:
+            released += [(due.item, time) for due in line.pop_due(time)]
+        else:
+            line.push(k, sent_ns=time)
+    end = max(times) + 100 * MS
+    return released + [(due.item, end) for due in line.pop_due(end)]
+
+
+LOOKS = st.lists(st.integers(0, 300 * MS), max_size=30)
+
+
+@examples
+@given(delays=DELAYS, gaps=GAPS, looks=LOOKS, keep_order=st.booleans())
+def test_never_early_never_twice_and_none_kept(delays, gaps, looks, keep_order):
+    line, times = make_line(delays, keep_order=keep_order), sending_times(gaps)
+    released = release_all(line, times, looks)
+    for item, at in released:
+        assert at >= times[item] + line.profile.delay_ns(UPLINK, times[item])
+    counts = Counter(item for item, _ in released)
+    assert all(count == 1 for count in counts.values())
+    assert len(counts) + line.lost == len(times)
+    assert len(line) == 0
+
+
+@examples
+@given(delays=LOSSLESS, gaps=GAPS, looks=LOOKS)
+def test_everything_arrives_in_the_order_of_sending(delays, gaps, looks):
+    line, times = make_line(delays, keep_order=True), sending_times(gaps)
+    released = [item for item, _ in release_all(line, times, looks)]
+    assert released == list(range(len(times)))
+
+
+@examples
+@given(delays=LOSSLESS, gaps=GAPS)
+def test_a_message_is_due_at_its_sending_plus_the_delay_of_that_time(delays, gaps):
+    line = make_line(delays, keep_order=False)
+    for k, sent_ns in enumerate(sending_times(gaps)):
+        expected = sent_ns + delays[sent_ns // MS % len(delays)]
+        assert line.push(k, sent_ns=sent_ns) == expected
+
+
+@examples
+@given(delays=LOSSLESS, gaps=GAPS)
+def test_keeping_order_waits_for_the_slowest_before_and_no_longer(delays, gaps):
+    line, slowest = make_line(delays, keep_order=True), 0
+    for k, sent_ns in enumerate(sending_times(gaps)):
+        slowest = max(slowest, sent_ns + delays[sent_ns // MS % len(delays)])
+        assert line.push(k, sent_ns=sent_ns) == slowest
+
+
+@examples
+@given(delays=LOSSLESS, gaps=GAPS, keep_order=st.booleans())
+def test_a_released_message_tells_the_delay_it_was_given(delays, gaps, keep_order):
+    line, due_at = make_line(delays, keep_order=keep_order), {}
+    times = sending_times(gaps)
+    for k, sent_ns in enumerate(times):
+        due_at[k] = line.push(k, sent_ns=sent_ns)
+    assert line.next_due_ns == min(due_at.values())
+    released = line.pop_due(10**12)
+    assert [due_at[due.item] for due in released] == sorted(due_at.values())
+    for due in released:
+        assert due.sent_ns == times[due.item]
+        assert due.nominal_ns == due_at[due.item] - due.sent_ns
+    assert line.next_due_ns is None
+
+
+def test_a_later_message_overtakes_unless_order_is_kept():
+    delays = [30 * MS, 1 * MS]
+    for keep_order, expected in ((True, ["slow", "fast"]), (False, ["fast", "slow"])):
+        line = make_line(delays, keep_order=keep_order)
+        line.push("slow", sent_ns=0)
+        line.push("fast", sent_ns=1 * MS)
+        assert [due.item for due in line.pop_due(100 * MS)] == expected
+
+
+def test_messages_due_at_the_same_time_leave_as_they_came():
+    line = make_line([5 * MS], keep_order=False)
+    for name in "cab":
+        line.push(name, sent_ns=0)
+    assert [due.item for due in line.pop_due(5 * MS)] == ["c", "a", "b"]
+
+
+def test_a_message_leaves_at_its_due_time_and_not_a_nanosecond_before():
+    line = make_line([5 * MS])
+    line.push("x", sent_ns=0)
+    assert line.pop_due(5 * MS - 1) == []
+    assert [due.item for due in line.pop_due(5 * MS)] == ["x"]
+
+
+def test_messages_without_an_order_of_their_own_can_be_held():
+    line = make_line([5 * MS])
+    for _ in range(2):
+        line.push({"not": "comparable"}, sent_ns=0)
+    assert len(line.pop_due(5 * MS)) == 2
+
+
+def test_each_direction_has_its_own_delays():
+    up = make_line([1 * MS], UPLINK, downlink=[2 * MS])
+    down = make_line([1 * MS], DOWNLINK, downlink=[2 * MS])
+    assert up.push("x", sent_ns=0) == 1 * MS
+    assert down.push("x", sent_ns=0) == 2 * MS
+
+
+def test_the_profile_repeats_when_it_ends():
+    line = make_line([1 * MS, 2 * MS, 3 * MS], keep_order=False)
+    delays = [line.push(k, sent_ns=k * MS) - k * MS for k in range(7)]
+    assert delays == [MS, 2 * MS, 3 * MS, MS, 2 * MS, 3 * MS, MS]
+    assert [line.passes(k * MS) for k in (0, 2, 3, 6)] == [0, 0, 1, 2]
+
+
+def test_start_and_offset_say_where_in_the_profile_time_begins():
+    line = make_line(
+        [1 * MS, 2 * MS, 3 * MS], start_ns=100 * MS, offset_ns=2 * MS, keep_order=False
+    )
+    delays = [line.push(k, sent_ns=k * MS) - k * MS for k in (100, 101, 102)]
+    assert delays == [3 * MS, 1 * MS, 2 * MS]
+    assert [line.passes(k * MS) for k in (100, 101, 104)] == [0, 1, 2]
+
+
+def test_a_message_from_before_the_start_takes_the_first_delay():
+    line = make_line([1 * MS, 2 * MS], start_ns=100 * MS)
+    assert line.push("x", sent_ns=97 * MS) == 98 * MS
+
+
+def test_losses_of_the_profile_are_counted_and_nothing_else():
+    line = make_line([LOST, 1 * MS, LOST, 1 * MS])
+    due = [line.push(k, sent_ns=k * MS) for k in range(4)]
+    assert [each is None for each in due] == [True, False, True, False]
+    assert line.lost == 2
+    assert len(line.pop_due(100 * MS)) == 2
+
+
+def test_random_losses_come_at_their_rate_and_are_counted():
+    line = make_line([0], loss=0.3)
+    passed = sum(line.push(k, sent_ns=k) is not None for k in range(10_000))
+    assert line.lost == 10_000 - passed
+    # Four standard deviations of a binomial: √(10⁴ · 0.3 · 0.7) = 46.
+    assert abs(line.lost - 3000) < 184
+
+
+def test_the_same_seed_loses_the_same_messages():
+    def lost(seed):
+        line = make_line([0], loss=0.5, seed=seed)
+        return [line.push(k, sent_ns=k) is None for k in range(100)]
+
+    assert lost(1) == lost(1)
+    assert lost(1) != lost(2)
+
+
+@pytest.mark.parametrize("keep_order", [True, False])
+def test_an_outage_ends_in_a_burst_in_order(keep_order):
+    # A stall of 50 ms whose queue empties at once, as traces show it: delays that fall by the
+    # sending period.
+    delays = [MS * max(1, 50 - k) for k in range(60)]
+    line = make_line(delays, keep_order=keep_order)
+    for k in range(60):
+        line.push(k, sent_ns=k * MS)
+    assert line.pop_due(50 * MS - 1) == []
+    assert [due.item for due in line.pop_due(50 * MS)] == list(range(50))

@@ -1,0 +1,165 @@
+"""Each term against its definition: finite differences of positions, and M a + h − Jᵀ w."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from shared.robots import Foot
+from shared.robots.description import sole_frame_name
+
+# Central differences over ±1e-6 s: cancellation leaves 2e-10 of the value, measured. A wrong frame
+# or sign is off by the whole of it.
+STEP = 1e-6
+DIFFERENCE_TOLERANCE = 1e-8
+# The same sums in another order: 37 terms, cancelling forces of up to 1e4.
+ROUNDING = 1e-11
+
+
+def flow(robot, q, v, time):
+    return pin.integrate(robot.model, q, time * v)
+
+
+def close(actual, expected, tolerance):
+    scale = max(1.0, np.abs(expected).max())
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=tolerance * scale)
+
+
+def test_velocities_are_the_jacobians_times_v(model, states):
+    for q, v in states:
+        kinematics, jacobians = model.kinematics(q, v), model.jacobians(q)
+        close(kinematics.com_velocity, jacobians.J_com @ v, ROUNDING)
+        for foot in Foot:
+            close(kinematics.sole_velocity[foot], jacobians.J_sole[foot] @ v, ROUNDING)
+
+
+def test_sole_velocity_is_the_rate_of_the_sole_placement_in_its_own_frame(model, robot, states):
+    for q, v in states[:20]:
+        before = model.sole_placements(flow(robot, q, v, -STEP))
+        after = model.sole_placements(flow(robot, q, v, STEP))
+        for foot in Foot:
+            rate = pin.log6(before[foot].actInv(after[foot])).vector / (2 * STEP)
+            close(model.kinematics(q, v).sole_velocity[foot], rate, DIFFERENCE_TOLERANCE)
+
+
+def test_com_velocity_is_the_rate_of_the_com(model, robot, states):
+    for q, v in states[:20]:
+        before = model.centre_of_mass(flow(robot, q, v, -STEP))
+        after = model.centre_of_mass(flow(robot, q, v, STEP))
+        rate = (after - before) / (2 * STEP)
+        close(model.kinematics(q, v).com_velocity, rate, DIFFERENCE_TOLERANCE)
+
+
+def test_sole_drift_is_the_rate_of_the_sole_velocity_at_constant_v(model, robot, states):
+    for q, v in states[:20]:
+        before = model.kinematics(flow(robot, q, v, -STEP), v).sole_velocity
+        after = model.kinematics(flow(robot, q, v, STEP), v).sole_velocity
+        drift = model.kinematics(q, v).sole_drift
+        for foot in Foot:
+            rate = (after[foot] - before[foot]) / (2 * STEP)
+            close(drift[foot], rate, DIFFERENCE_TOLERANCE)
+
+
+def test_com_drift_is_the_rate_of_the_com_velocity_at_constant_v(model, robot, states):
+    for q, v in states[:20]:
+        before = model.kinematics(flow(robot, q, v, -STEP), v).com_velocity
+        after = model.kinematics(flow(robot, q, v, STEP), v).com_velocity
+        rate = (after - before) / (2 * STEP)
+        close(model.kinematics(q, v).com_drift, rate, DIFFERENCE_TOLERANCE)
+
+
+def test_drifts_vanish_at_rest(model, robot):
+    kinematics = model.kinematics(robot.q_standing, np.zeros(model.nv))
+    np.testing.assert_array_equal(kinematics.com_drift, 0.0)
+    for foot in Foot:
+        np.testing.assert_array_equal(kinematics.sole_drift[foot], 0.0)
+
+
+def test_bias_force_at_rest_is_the_weight(model, robot):
+    h = model.kinematics(robot.q_standing, np.zeros(model.nv)).h
+    # The base stands upright: its vertical entry carries the whole robot.
+    assert h[2] == pytest.approx(robot.mass * 9.81, rel=1e-12)
+    np.testing.assert_allclose(h[:2], 0.0, atol=1e-9 * h[2])
+
+
+def test_sole_acceleration_is_the_jacobian_times_a_plus_drift(model, states, rng):
+    for q, v in states:
+        a = rng.standard_normal(model.nv)
+        kinematics, jacobians = model.kinematics(q, v), model.jacobians(q)
+        for foot in Foot:
+            expected = jacobians.J_sole[foot] @ a + kinematics.sole_drift[foot]
+            close(model.sole_acceleration(foot, q, v, a), expected, ROUNDING)
+
+
+@pytest.mark.parametrize("feet", [(), (Foot.LEFT,), (Foot.RIGHT,), (Foot.LEFT, Foot.RIGHT)])
+def test_inverse_dynamics_adds_up_from_its_terms(model, robot, states, rng, feet):
+    data = robot.model.createData()
+    for q, v in states[:20]:
+        a = rng.standard_normal(model.nv)
+        wrenches = {foot: 100.0 * rng.standard_normal(6) for foot in feet}
+        J = {foot: frame_jacobian(robot, data, q, foot) for foot in feet}
+        expected = pin.crba(robot.model, data, q) @ a + model.kinematics(q, v).h
+        for foot, wrench in wrenches.items():
+            expected = expected - J[foot].T @ wrench
+        close(model.inverse_dynamics(q, v, a, wrenches), expected, ROUNDING)
+
+
+def test_a_foot_that_was_loaded_before_is_forgotten(model, states):
+    (q, v), a = states[0], np.zeros(model.nv)
+    unloaded = model.inverse_dynamics(q, v, a, {}).copy()
+    model.inverse_dynamics(q, v, a, {Foot.LEFT: np.full(6, 50.0), Foot.RIGHT: np.full(6, 9.0)})
+    np.testing.assert_array_equal(model.inverse_dynamics(q, v, a, {}), unloaded)
+
+
+def test_unactuated_inertia_is_the_first_six_rows_of_the_symmetric_matrix(model, robot, states):
+    data = robot.model.createData()
+    for q, _ in states:
+        M = pin.crba(robot.model, data, q)
+        np.testing.assert_allclose(M, M.T, atol=1e-13 * np.abs(M).max())
+        np.testing.assert_array_equal(model.jacobians(q).M_unactuated, M[:6])
+
+
+def test_terms_are_copies_that_a_later_call_does_not_change(model, states):
+    kinematics, jacobians = model.kinematics(*states[0]), model.jacobians(states[0].q)
+    placements = model.sole_placements(states[0].q)
+    before = [
+        array.copy()
+        for array in (
+            kinematics.h,
+            kinematics.com,
+            kinematics.com_velocity,
+            kinematics.com_drift,
+            kinematics.world_from_base,
+            kinematics.sole_velocity[Foot.LEFT],
+            kinematics.sole_drift[Foot.LEFT],
+            jacobians.M_unactuated,
+            jacobians.J_com,
+            jacobians.J_sole[Foot.LEFT],
+            placements[Foot.LEFT].translation,
+        )
+    ]
+    model.kinematics(*states[3])
+    model.jacobians(states[3].q)
+    model.sole_placements(states[3].q)
+    after = (
+        kinematics.h,
+        kinematics.com,
+        kinematics.com_velocity,
+        kinematics.com_drift,
+        kinematics.world_from_base,
+        kinematics.sole_velocity[Foot.LEFT],
+        kinematics.sole_drift[Foot.LEFT],
+        jacobians.M_unactuated,
+        jacobians.J_com,
+        jacobians.J_sole[Foot.LEFT],
+        placements[Foot.LEFT].translation,
+    )
+    for array, copy in zip(after, before, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+def frame_jacobian(robot, data, q, foot):
+    """Jacobian of a sole by Pinocchio's one-call function, not the one that the model uses."""
+    frame = robot.model.getFrameId(sole_frame_name(foot))
+    return pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL)

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask
+
+KP = 7.0
+KD = 2.0 * math.sqrt(KP)  # critical damping
+# One rotation, or sums over 32 bodies: rounding of numbers of order one.
+ROUNDING = 1e-12
+
+
+@pytest.fixture(params=["com", "base_orientation", "posture"])
+def task(request, model):
+    if request.param == "com":
+        return ComTask(weight=1.0, kp=KP)
+    cls = {"base_orientation": BaseOrientationTask, "posture": PostureTask}[request.param]
+    return cls(weight=1.0, kp=KP, nv=model.nv)
+
+
+def displaced(robot, **coordinates):
+    """Standing, with entries of the tangent space moved: `base` (6,) or `joints` (nv − 6,)."""
+    step = np.zeros(robot.model.nv)
+    step[:6] = coordinates.get("base", 0.0)
+    step[6:] = coordinates.get("joints", 0.0)
+    return pin.integrate(robot.model, robot.q_standing, step)
+
+
+def test_target_is_zero_at_the_reference_at_rest(task, model, robot, reference):
+    kinematics = model.kinematics(robot.q_standing, np.zeros(model.nv))
+    target = task.target(kinematics, reference)
+    assert target.shape == (task.size,)
+    np.testing.assert_allclose(target, 0.0, atol=ROUNDING)
+
+
+def test_jacobian_has_a_row_per_target_and_a_column_per_acceleration(task, model, robot):
+    assert task.jacobian(model.jacobians(robot.q_standing)).shape == (task.size, model.nv)
+
+
+def test_a_displaced_centre_of_mass_is_called_back(model, robot, reference):
+    offset = np.array([0.01, -0.02, 0.03])
+    q = displaced(robot, base=np.append(offset, np.zeros(3)))
+    target = ComTask(weight=1.0, kp=KP).target(model.kinematics(q, np.zeros(model.nv)), reference)
+    np.testing.assert_allclose(target, -KP * offset, atol=ROUNDING)
+
+
+def test_a_moving_centre_of_mass_is_braked_critically(model, robot, reference):
+    v = np.zeros(model.nv)
+    v[:3] = [0.1, 0.2, -0.3]
+    kinematics = model.kinematics(robot.q_standing, v)
+    target = ComTask(weight=1.0, kp=KP).target(kinematics, reference)
+    np.testing.assert_allclose(target, -KD * kinematics.com_velocity, atol=ROUNDING)
+
+
+def test_the_reference_motion_of_the_centre_of_mass_is_followed(model, robot, reference):
+    moving = dataclasses.replace(
+        reference,
+        com=reference.com + [0.0, 0.1, 0.0],
+        com_velocity=np.array([0.0, 0.0, 0.2]),
+        com_acceleration=np.array([0.3, 0.0, 0.0]),
+    )
+    kinematics = model.kinematics(robot.q_standing, np.zeros(model.nv))
+    target = ComTask(weight=1.0, kp=KP).target(kinematics, moving)
+    np.testing.assert_allclose(target, [0.3, KP * 0.1, KD * 0.2], atol=ROUNDING)
+
+
+def test_the_drift_of_the_centre_of_mass_is_subtracted(model, states, reference):
+    task = ComTask(weight=1.0, kp=KP)
+    for q, v in states[:10]:
+        kinematics = model.kinematics(q, v)
+        expected = (
+            KP * (reference.com - kinematics.com)
+            - KD * kinematics.com_velocity
+            - kinematics.com_drift
+        )
+        np.testing.assert_allclose(task.target(kinematics, reference), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_tilted_base_is_turned_back_about_its_own_axis(model, robot, reference, axis):
+    tilt = np.zeros(6)
+    tilt[3 + axis] = 0.4
+    kinematics = model.kinematics(displaced(robot, base=tilt), np.zeros(model.nv))
+    task = BaseOrientationTask(weight=1.0, kp=KP, nv=model.nv)
+    np.testing.assert_allclose(task.target(kinematics, reference), -KP * tilt[3:], atol=1e-9)
+
+
+def test_turning_along_the_target_brings_any_base_closer(model, states, reference):
+    task = BaseOrientationTask(weight=1.0, kp=1.0, nv=model.nv)
+
+    def angle(rotation):
+        return np.linalg.norm(pin.log3(rotation.T @ reference.world_from_base))
+
+    for q, _ in states:
+        kinematics = model.kinematics(q, np.zeros(model.nv))
+        target = task.target(kinematics, reference)
+        closer = kinematics.world_from_base @ pin.exp3(0.1 * target)
+        # A geodesic: a tenth of the way leaves nine tenths of the angle.
+        assert angle(closer) == pytest.approx(0.9 * angle(kinematics.world_from_base), rel=1e-6)
+
+
+def test_a_turning_base_is_braked_critically(model, robot, reference):
+    v = np.zeros(model.nv)
+    v[3:6] = [0.1, 0.2, -0.3]
+    task = BaseOrientationTask(weight=1.0, kp=KP, nv=model.nv)
+    target = task.target(model.kinematics(robot.q_standing, v), reference)
+    np.testing.assert_allclose(target, -KD * v[3:6], atol=ROUNDING)
+
+
+def test_displaced_and_moving_joints_are_called_back_and_braked(model, robot, reference, rng):
+    offset, v = 0.1 * rng.standard_normal(31), rng.standard_normal(model.nv)
+    task = PostureTask(weight=1.0, kp=KP, nv=model.nv)
+    kinematics = model.kinematics(displaced(robot, joints=offset), v)
+    target = task.target(kinematics, reference)
+    np.testing.assert_allclose(target, -KP * offset - KD * v[6:], rtol=1e-12)
+
+
+def test_jacobians_of_orientation_and_posture_pick_their_velocities(model, states):
+    orientation = BaseOrientationTask(weight=1.0, kp=KP, nv=model.nv)
+    posture = PostureTask(weight=1.0, kp=KP, nv=model.nv)
+    q, v = states[0]
+    jacobians = model.jacobians(q)
+    np.testing.assert_array_equal(orientation.jacobian(jacobians) @ v, v[3:6])
+    np.testing.assert_array_equal(posture.jacobian(jacobians) @ v, v[6:])
