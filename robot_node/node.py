@@ -76,7 +76,6 @@ class RobotNode:
         self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
         self._hold = JointHold(robot)
         self._hold_after_ns = config.loop.hold_after * 1e9
-        self._last_tau = np.zeros(robot.model.nv - 6)
         self._standing_com_height = float(motion.reference(0).com[2])
         self._measured_ns = 0
         self._measurement: Measurement
@@ -121,8 +120,7 @@ class RobotNode:
         safe = self._guard.accept(tau)
         if safe is None:
             return self._held(age_ns=age_ns)
-        self._hold.release()
-        self._last_tau = safe
+        self._hold.observe(self._measurement.q, safe)
         source = Source.FRESH if entry.message.sequence == self.tick else Source.CACHED
         return Command(safe, y, source, age_ns, len(entry.projector.active))
 
@@ -169,9 +167,9 @@ class RobotNode:
 
     def _held(self, *, age_ns: int) -> Command:
         now = self._measurement
-        tau = self._guard.accept(self._hold.torque(now.q, now.v, last_torque=self._last_tau))
+        tau = self._guard.accept(self._hold.torque(now.q, now.v))
         if tau is None:
-            tau = np.zeros_like(self._last_tau)
+            tau = np.zeros_like(self._guard.limit)
         return Command(tau, None, Source.HELD, age_ns, 0)
 
     def _push(self) -> np.ndarray:

@@ -13,9 +13,11 @@ from shared.robots import Robot
 FALLEN_COM_HEIGHT = 0.6
 FALLEN_TILT = 1.0
 
-# Joint hold: natural frequency of the joint impedance [rad/s] on the inertia it was scaled with.
+# Joint hold: stiffness [1/rad] and damping [s/rad] per N m of the joint's effort limit.
 _HOLD_STIFFNESS_PER_EFFORT = 10.0
 _HOLD_DAMPING_PER_EFFORT = 0.3
+# Weight of the newest tick in the averages: a time constant of 50 ms.
+_HOLD_AVERAGE = 0.02
 
 
 class TorqueGuard:
@@ -35,24 +37,23 @@ class JointHold:
     """Holds the joints where they were when it was entered, around the torque applied then.
 
     The last resort of a robot without a usable projector: it stays upright as a statue does, and
-    resists as far as stiff joints can.
+    resists as far as stiff joints can. Posture and torque are averaged over the last ticks, so that
+    what is held is not one noisy measurement.
     """
 
     def __init__(self, robot: Robot) -> None:
         self._stiffness = _HOLD_STIFFNESS_PER_EFFORT * robot.effort_limit
         self._damping = _HOLD_DAMPING_PER_EFFORT * robot.effort_limit
-        self._posture: np.ndarray | None = None
+        self._posture = robot.q_standing[7:].copy()
         self._torque = np.zeros_like(robot.effort_limit)
 
-    def release(self) -> None:
-        """Back to normal control."""
-        self._posture = None
+    def observe(self, q: np.ndarray, tau: np.ndarray) -> None:
+        """A tick under normal control at measured q with torque tau: what would be held."""
+        self._posture += _HOLD_AVERAGE * (q[7:] - self._posture)
+        self._torque += _HOLD_AVERAGE * (tau - self._torque)
 
-    def torque(self, q: np.ndarray, v: np.ndarray, *, last_torque: np.ndarray) -> np.ndarray:
-        """Holding torque at (q, v), (nv − 6,) [N m]; the first call fixes what is held."""
-        if self._posture is None:
-            self._posture = q[7:].copy()
-            self._torque = last_torque.copy()
+    def torque(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Holding torque at (q, v), shape (nv − 6,) [N m]."""
         return self._torque + self._stiffness * (self._posture - q[7:]) - self._damping * v[6:]
 
 

@@ -1,0 +1,114 @@
+"""The live path: the queue, what cannot be opened, and a run watched from start to stop."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shared.bus.zenoh_bus import ZenohBus
+from shared.config import RunConfig, dump_config
+from shared.errors import LinkError, UserError
+from shared.robots import Robot
+from shared.telemetry import encode_rows
+from shared.wire.channels import LINK_KEY, TICKS_KEY
+from tests.viewer.reading import logged
+from tests.viewer.synthetic import link_rows, tick_rows
+from viewer.blueprint import layout
+from viewer.display import Display, free_port
+from viewer.intake import BlockQueue, connect
+from viewer.recording import new_recording
+
+
+def test_a_full_queue_drops_its_oldest_blocks_and_counts_them() -> None:
+    blocks = BlockQueue(limit=3)
+    for number in range(5):
+        blocks.put(bytes([number]))
+    assert blocks.dropped == 2
+    assert blocks.take() == [b"\x02", b"\x03", b"\x04"]
+    assert blocks.take() == []
+
+
+def test_a_missing_hub_is_one_line_that_names_the_endpoint() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with pytest.raises(LinkError, match=f"no hub answers at {endpoint}"):
+        connect(endpoint, stopped=lambda: False, timeout=0.0)
+
+
+def test_a_malformed_endpoint_is_told_by_example() -> None:
+    with pytest.raises(LinkError, match="expected an endpoint as in tcp/"):
+        connect("nonsense", stopped=lambda: False)
+
+
+def test_a_stop_request_ends_the_search_for_a_hub() -> None:
+    assert connect("tcp/127.0.0.1:1", stopped=lambda: True) is None
+
+
+def test_a_dead_screen_is_told_with_what_else_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", ":987")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(UserError, match=r"window could not be opened.*--view native, web, record"):
+        Display(new_recording("test"), "native", blueprint=layout(live=True), file=None)
+
+
+def test_recording_without_a_folder_is_refused() -> None:
+    with pytest.raises(UserError, match="--out DIR"):
+        Display(new_recording("test"), "record", blueprint=layout(live=True), file=None)
+
+
+def test_a_taken_port_is_not_chosen() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert free_port(port) != port
+
+
+@pytest.mark.live
+def test_a_watched_run_is_recorded_and_ends_within_two_seconds_of_the_signal(
+    robot: Robot, tmp_path: Path
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    (tmp_path / "config.toml").write_text(dump_config(RunConfig(), versions={}))
+    hub = ZenohBus(listen=[endpoint], mode="router")
+    ticks = hub.publisher(TICKS_KEY.format(robot=robot.name))
+    viewer = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "viewer", "live", "--config", str(tmp_path / "config.toml")),
+            *("--telemetry", endpoint, "--view", "web", "--out", str(tmp_path)),
+        ],
+        cwd=Path(__file__).parents[2],
+        env={**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert viewer.stdout is not None
+    try:
+        ready = viewer.stdout.readline()
+        assert ready.startswith("READY open http://127.0.0.1:")
+        time.sleep(0.2)
+        for k in range(5):
+            ticks.publish(encode_rows(*tick_rows(robot, 100, start=100 * k)))
+            hub.publisher(LINK_KEY).publish(encode_rows(*link_rows(100, start=100 * k)))
+            time.sleep(0.05)
+        ticks.publish(b"not a block")
+        time.sleep(0.5)
+        signalled = time.monotonic()
+        viewer.send_signal(signal.SIGTERM)
+        rest, _ = viewer.communicate(timeout=20.0)
+        assert time.monotonic() - signalled < 2.0
+    finally:
+        viewer.kill()
+        viewer.wait()
+        hub.close()
+    assert viewer.returncode == 0
+    assert "0 blocks dropped when behind, 1 blocks refused" in rest
+    times, _ = logged(tmp_path / "recording.rrd", "/world/joints", "Transform3D:translation")
+    np.testing.assert_array_equal(np.unique(times), np.arange(25) * 20_000_000)

@@ -1,0 +1,112 @@
+"""Forces, contact points and support polygon, in the world frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from shared.robots import Robot
+from shared.wbc.contacts import CORNER_MARGIN, ContactMode
+from viewer.pose import PoseModel, convex_hull
+
+# Kinematics in float64 on lengths of about a metre and forces of about 100 N.
+EXACT = 1e-9
+
+
+@pytest.fixture
+def pose(robot: Robot) -> PoseModel:
+    return PoseModel(robot, [1])
+
+
+def turned(robot: Robot, *, yaw: float) -> np.ndarray:
+    """The standing configuration turned about the vertical, base kept where it is."""
+    q = robot.q_standing.copy()
+    turn = pin.Quaternion(pin.utils.rpyToMatrix(0.0, 0.0, yaw))
+    q[3:7] = (turn * pin.Quaternion(q[3:7])).coeffs()
+    return q
+
+
+def test_standing_contact_points_are_the_shrunk_corners_of_both_soles_on_the_ground(
+    robot: Robot, pose: PoseModel
+) -> None:
+    points = pose.frame(robot.q_standing, np.zeros(24), ContactMode.DOUBLE_SUPPORT).contact_points
+    assert points.shape == (8, 3)
+    np.testing.assert_allclose(points[:, 2], 0.0, atol=1e-6)
+    left = robot.description.feet[0]
+    length = left.sole_x[1] - left.sole_x[0] - 2 * CORNER_MARGIN
+    width = left.sole_y[1] - left.sole_y[0] - 2 * CORNER_MARGIN
+    assert np.ptp(points[:4, 0]) == pytest.approx(length, abs=1e-6)
+    assert np.ptp(points[:4, 1]) == pytest.approx(width, abs=1e-6)
+    assert points[:4, 1].min() > points[4:, 1].max(), "left foot first, on the positive side"
+
+
+def test_a_force_along_the_sole_turns_with_the_robot(robot: Robot, pose: PoseModel) -> None:
+    f = np.tile([10.0, 0.0, 50.0], 8)
+    quarter_turn = turned(robot, yaw=np.pi / 2)
+    forces = pose.frame(quarter_turn, f, ContactMode.DOUBLE_SUPPORT).contact_forces
+    # The soles of this posture are level and point forward to 1e-6 rad.
+    np.testing.assert_allclose(forces, np.tile([0.0, 10.0, 50.0], (8, 1)), atol=1e-3)
+
+
+def test_forces_and_points_have_the_wrench_that_the_sole_frames_give(
+    robot: Robot, pose: PoseModel, rng: np.random.Generator
+) -> None:
+    q = pin.integrate(robot.model, robot.q_standing, rng.normal(scale=0.2, size=robot.model.nv))
+    f = rng.normal(scale=50.0, size=24)
+    frame = pose.frame(q, f, ContactMode.DOUBLE_SUPPORT)
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    total = pin.Force.Zero()
+    for k, foot in enumerate(robot.description.feet):
+        sole = data.oMf[robot.model.getFrameId(f"{foot.side.value}_sole_frame")]
+        for corner, force in zip(foot.corners(CORNER_MARGIN), f.reshape(2, 4, 3)[k], strict=True):
+            total += sole.act(pin.Force(force, np.cross(corner, force)))
+    np.testing.assert_allclose(frame.contact_forces.sum(axis=0), total.linear, atol=EXACT)
+    moment = np.cross(frame.contact_points, frame.contact_forces).sum(axis=0)
+    np.testing.assert_allclose(moment, total.angular, atol=EXACT)
+
+
+@pytest.mark.parametrize(
+    ("mode", "rows"),
+    [(ContactMode.LEFT_SUPPORT, slice(0, 4)), (ContactMode.RIGHT_SUPPORT, slice(4, 8))],
+)
+def test_in_single_support_the_first_forces_are_those_of_the_support_foot(
+    robot: Robot, pose: PoseModel, mode: ContactMode, rows: slice
+) -> None:
+    f = np.append(np.arange(12.0), np.full(12, 99.0))
+    single = pose.frame(robot.q_standing, f, mode)
+    both = pose.frame(robot.q_standing, np.zeros(24), ContactMode.DOUBLE_SUPPORT)
+    assert single.contact_forces.shape == (4, 3)
+    np.testing.assert_allclose(single.contact_points, both.contact_points[rows])
+    np.testing.assert_allclose(np.linalg.norm(single.contact_forces), np.linalg.norm(f[:12]))
+
+
+def test_the_support_polygon_lies_on_the_ground_around_all_contact_points(
+    robot: Robot, pose: PoseModel
+) -> None:
+    frame = pose.frame(robot.q_standing, np.zeros(24), ContactMode.DOUBLE_SUPPORT)
+    polygon = frame.support_polygon
+    np.testing.assert_array_equal(polygon[0], polygon[-1])
+    np.testing.assert_array_equal(polygon[:, 2], 0.0)
+    edges = np.diff(polygon[:, :2], axis=0)
+    for start, (dx, dy) in zip(polygon[:-1, :2], edges, strict=True):
+        outside = dx * (frame.contact_points[:, 1] - start[1]) - dy * (
+            frame.contact_points[:, 0] - start[0]
+        )
+        assert (outside >= -EXACT).all()
+
+
+def test_the_hull_leaves_inner_and_repeated_points_out() -> None:
+    square = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+    hull = convex_hull(np.array([*square, [0.5, 0.5], [0.5, 0.0], [1.0, 1.0]]))
+    np.testing.assert_array_equal(hull, [*square, square[0]])
+
+
+def test_joint_placements_are_those_of_the_kinematics(robot: Robot) -> None:
+    joints = [1, robot.model.njoints - 1]
+    q = turned(robot, yaw=0.3)
+    frame = PoseModel(robot, joints).frame(q, np.zeros(24), ContactMode.DOUBLE_SUPPORT)
+    np.testing.assert_allclose(frame.joint_translation[0], q[:3], atol=EXACT)
+    np.testing.assert_allclose(np.abs(frame.joint_quat_xyzw[0] @ q[3:7]), 1.0, atol=EXACT)
+    assert frame.joint_translation.shape == (2, 3)

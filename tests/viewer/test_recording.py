@@ -1,0 +1,116 @@
+"""`record`: a run's folder becomes a recording, or one line that says what is wrong with it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rerun.chunk import RrdReader
+
+from shared.config import RunConfig, dump_config
+from shared.errors import UserError
+from shared.robots import Robot
+from shared.telemetry import write_parquet
+from tests.viewer.reading import entities, static
+from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
+from viewer.meshes import load_meshes
+from viewer.recording import record
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+@pytest.fixture
+def run(robot: Robot, tmp_path: Path) -> Path:
+    """The folder of a short run, with all of its tables."""
+    config = dump_config(RunConfig(), versions={})
+    (tmp_path / "config.toml").write_text(config, encoding="utf-8")
+    write_parquet(*tick_rows(robot, 300, waiting=50), tmp_path / "telemetry.parquet")
+    write_parquet(*link_rows(300, lost_every=100), tmp_path / "link.parquet")
+    write_parquet(*solve_rows(300), tmp_path / "edge.parquet")
+    return tmp_path
+
+
+def test_a_run_becomes_a_recording_with_robot_plots_and_layout(run: Path, robot: Robot) -> None:
+    recorded = record(run)
+    assert recorded.path == run / "recording.rrd"
+    assert recorded.size_bytes == recorded.path.stat().st_size > 1_000_000, "meshes are in it"
+    assert recorded.rows == 300 + 600 + 300
+    expected = {
+        *("/world/joints", "/world/contact_forces", "/world/support_polygon", "/world/com"),
+        *("/world/com_reference", "/world/push", "/plots/uplink/delay", "/plots/downlink/lost"),
+        *("/plots/projector_age", "/plots/compute/solve", "/plots/source"),
+    }
+    assert expected <= entities(recorded.path)
+    assert len(RrdReader(recorded.path).blueprints()) == 1
+    assert not (run / "recording.rrd.partial").exists()
+
+
+def test_every_mesh_hangs_on_the_joint_that_carries_it(run: Path, robot: Robot) -> None:
+    path = record(run).path
+    for mesh in load_meshes(robot):
+        entity = f"/world/robot/{mesh.name}"
+        (parent,) = static(path, entity, "Transform3D:parent_frame")
+        assert parent == [f"{robot.name}/{robot.model.names[mesh.joint]}"]
+        (blob,) = static(path, entity, "Asset3D:blob")
+        assert bytes(blob[0]) == mesh.glb
+
+
+def test_a_run_without_a_link_or_an_edge_is_recorded_too(run: Path) -> None:
+    (run / "link.parquet").unlink()
+    (run / "edge.parquet").unlink()
+    assert record(run).rows == 300
+
+
+def spoil_config(run: Path) -> None:
+    (run / "config.toml").write_text("[robot]\nname = 'c3po'\n")
+
+
+def remove_telemetry(run: Path) -> None:
+    (run / "telemetry.parquet").unlink()
+
+
+def spoil_telemetry(run: Path) -> None:
+    (run / "telemetry.parquet").write_bytes(b"no table")
+
+
+def swap_tables(run: Path) -> None:
+    write_parquet(*solve_rows(3), run / "telemetry.parquet")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (spoil_config, "robot: expected one of romeo"),
+        (remove_telemetry, "found none"),
+        (spoil_telemetry, "cannot read"),
+        (swap_tables, "expected rows of the robot"),
+    ],
+)
+def test_a_spoilt_run_is_refused_in_one_line_and_leaves_no_recording(
+    run: Path, spoil: Callable[[Path], None], told: str
+) -> None:
+    spoil(run)
+    with pytest.raises(UserError, match=told) as refused:
+        record(run)
+    assert "\n" not in str(refused.value)
+    assert not list(run.glob("recording.rrd*"))
+
+
+def test_the_command_line_prints_one_line_and_exits_with_two(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "viewer", "record", str(tmp_path / "nothing")],
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        cwd=Path(__file__).parents[2],
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1
+    assert "expected the folder of a run" in done.stderr

@@ -1,0 +1,138 @@
+"""Rows in, recording out: read back from the file and held against the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shared.errors import UserError
+from shared.robots import Robot
+from shared.telemetry import Column, Schema, tick_schema
+from tests.viewer.reading import logged
+from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
+from viewer.recording import new_recording
+from viewer.scene import NEWTONS_PER_METRE, Scene
+
+MILLISECOND = 1_000_000
+Rows = tuple[Schema, np.ndarray]
+
+
+@pytest.fixture
+def draw(robot: Robot, tmp_path: Path) -> Callable[..., Path]:
+    """Draws batches of rows, in order, into a file."""
+
+    def build(*batches: Rows) -> Path:
+        path = tmp_path / "scene.rrd"
+        recording = new_recording("test")
+        recording.save(path)
+        scene = Scene(recording, robot, meshes=())
+        for schema, rows in batches:
+            scene.log_rows(schema, rows)
+        recording.disconnect()
+        return path
+
+    return build
+
+
+def test_the_scene_is_drawn_fifty_times_a_second_across_batches(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    batches = [tick_rows(robot, 130, start=130 * k) for k in range(4)]
+    times, placements = logged(draw(*batches), "/world/joints", "Transform3D:translation")
+    np.testing.assert_array_equal(times, np.arange(26) * 20 * MILLISECOND)
+    schema, rows = batches[1]
+    drawn = {int(time): placement for time, placement in zip(times, placements, strict=True)}
+    # The base is the first joint; the recording has float32.
+    base = drawn[140 * MILLISECOND][0]
+    np.testing.assert_allclose(base, schema.column(rows, "q")[10, :3], atol=1e-6)
+
+
+def test_force_arrows_add_up_to_the_forces_of_the_row(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    schema, rows = tick_rows(robot, 20)
+    path = draw((schema, rows))
+    times, arrows = logged(path, "/world/contact_forces", "Arrows3D:vectors")
+    assert len(times) == 1
+    assert len(arrows[0]) == 8
+    drawn = NEWTONS_PER_METRE * np.sum(arrows[0], axis=0)
+    commanded = schema.column(rows, "f")[0].reshape(8, 3).sum(axis=0)
+    np.testing.assert_allclose(drawn, commanded, atol=0.05)
+    origins = logged(path, "/world/contact_forces", "Arrows3D:origins")[1][0]
+    np.testing.assert_allclose(np.array(origins)[:, 2], 0.0, atol=1e-5)
+
+
+def test_unloaded_points_and_absent_pushes_have_no_arrow(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    schema, rows = tick_rows(robot, 1240)
+    rows[:, schema.slices["f"]][:, :12] = 0.0
+    path = draw((schema, rows))
+    assert {len(each) for each in logged(path, "/world/contact_forces", "Arrows3D:vectors")[1]} == {
+        4
+    }
+    times, labels = logged(path, "/world/push", "Arrows3D:labels")
+    pushed = times[[len(each) > 0 for each in labels]]
+    assert pushed.min() == 1_000 * MILLISECOND
+    assert pushed.max() == 1_180 * MILLISECOND
+    assert {label for each in labels for label in each} == {"100 N"}
+
+
+def test_plots_keep_the_peak_of_every_signal(robot: Robot, draw: Callable[..., Path]) -> None:
+    schema, rows = tick_rows(robot, 500)
+    rows[333, schema.slices["tick_ns"]] = 9e6
+    times, values = logged(draw((schema, rows)), "/plots/compute/tick", "Scalars:scalars")
+    ticks = np.array(values)[:, 0]
+    assert ticks.max() == pytest.approx(9.0)
+    assert times[ticks.argmax()] == 333 * MILLISECOND
+    assert len(times) < 250
+
+
+def test_messages_wait_for_the_first_row_of_the_robot_and_share_its_time(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    path = draw(link_rows(300, lost_every=150), solve_rows(300), tick_rows(robot, 300, waiting=100))
+    times, delays = logged(path, "/plots/downlink/delay", "Scalars:scalars")
+    assert times[0] == 0, "what came before the task began is not plotted"
+    assert times[-1] == 199 * MILLISECOND
+    np.testing.assert_allclose(delays[0], [30.0, 30.1])
+    lost_at, lost = logged(path, "/plots/uplink/lost", "Scalars:scalars")
+    np.testing.assert_array_equal(lost_at, [50 * MILLISECOND])
+    np.testing.assert_allclose(lost, [[15.0]])
+    assert logged(path, "/plots/compute/solve", "Scalars:scalars")[0][0] == 0
+
+
+def test_the_source_is_logged_when_it_changes_only(robot: Robot, draw: Callable[..., Path]) -> None:
+    batches = [tick_rows(robot, 100, start=100 * k) for k in range(6)]
+    times, names = logged(draw(*batches), "/plots/source", "StateChange:state")
+    assert names == [["cached"], ["fresh"], ["cached"]]
+    np.testing.assert_array_equal(times, np.array([0, 250, 500]) * MILLISECOND)
+
+
+def test_a_robot_that_waits_is_shown_once_a_batch(robot: Robot, draw: Callable[..., Path]) -> None:
+    path = draw(tick_rows(robot, 100, waiting=1000))
+    times, _ = logged(path, "/world/joints", "Transform3D:translation")
+    np.testing.assert_array_equal(times, [-1])
+    assert len(logged(path, "/plots/com_error", "Scalars:scalars")[0]) == 0
+
+
+def test_a_configuration_that_is_not_finite_is_not_drawn(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    schema, rows = tick_rows(robot, 100)
+    rows[40:, schema.slices["q"]] = np.nan
+    times, _ = logged(draw((schema, rows)), "/world/joints", "Transform3D:translation")
+    assert times.max() == 20 * MILLISECOND
+
+
+def test_rows_of_another_robot_are_refused_by_name_and_width(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    other = tick_schema(nq=30, nv=29)
+    with pytest.raises(UserError, match=r"not of the robot romeo.*q \(30 instead of 38\)"):
+        draw((other, np.zeros((1, other.width))))
+    with pytest.raises(UserError, match="missing"):
+        draw((Schema(Column("temperature")), np.zeros((1, 1))))

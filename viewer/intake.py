@@ -1,0 +1,91 @@
+"""Telemetry blocks off the bus, into a queue that never grows.
+
+The viewer is a client of the telemetry session's hub and only listens. Blocks wait in a ring: when
+drawing falls behind, the oldest blocks are dropped whole and counted, the newest are kept.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+import zenoh
+
+from shared.errors import LinkError
+from shared.wire.channels import LINK_KEY, SOLVES_KEY, TICKS_KEY
+
+# About six seconds of a run, at most some 30 MB.
+QUEUE_BLOCKS = 256
+# One attempt to connect; a stop request is seen between two of them.
+ATTEMPT_MS = 500
+
+
+class BlockQueue:
+    """A ring of encoded blocks; `put` is called by the bus, the rest by the viewer's loop."""
+
+    def __init__(self, limit: int = QUEUE_BLOCKS) -> None:
+        self.dropped = 0
+        self._blocks: deque[bytes] = deque()
+        self._limit = limit
+        self._lock = threading.Lock()
+
+    def put(self, block: bytes) -> None:
+        """Add a block; drop the oldest one if the ring is full."""
+        with self._lock:
+            if len(self._blocks) == self._limit:
+                self._blocks.popleft()
+                self.dropped += 1
+            self._blocks.append(block)
+
+    def take(self) -> list[bytes]:
+        """All waiting blocks, oldest first."""
+        with self._lock:
+            taken = list(self._blocks)
+            self._blocks.clear()
+        return taken
+
+
+def connect(
+    endpoint: str, *, stopped: Callable[[], bool], timeout: float = 5.0
+) -> zenoh.Session | None:
+    """A client session with the hub at `endpoint`; None if `stopped` while it tried.
+
+    `LinkError` if the endpoint is malformed or no hub answers within `timeout` [s].
+    """
+    config = zenoh.Config()
+    settings = {
+        "mode": "client",
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": ATTEMPT_MS,
+        "connect/exit_on_failure": True,
+        "listen/endpoints": [],
+        "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }
+    try:
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+    except zenoh.ZError:
+        raise LinkError(
+            f"telemetry: expected an endpoint as in tcp/127.0.0.1:7450, got {endpoint!r}"
+        ) from None
+    deadline = time.monotonic() + timeout
+    while not stopped():
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError:
+            if time.monotonic() > deadline:
+                raise LinkError(
+                    f"telemetry: no hub answers at {endpoint}; is the run started, and is this "
+                    "the endpoint its telemetry listens on?"
+                ) from None
+    return None
+
+
+def subscribe(session: zenoh.Session, blocks: BlockQueue, *, robot: str) -> None:
+    """Feed `blocks` with the rows of a robot, the link and the edge, while `session` lives."""
+    for key in (TICKS_KEY.format(robot=robot), LINK_KEY, SOLVES_KEY):
+        session.declare_subscriber(key, lambda sample: blocks.put(sample.payload.to_bytes()))

@@ -1,0 +1,111 @@
+"""A run as it happens: telemetry blocks off the bus, onto a screen, into a file or both.
+
+The loop draws what has arrived and waits for more until it is told to stop. Blocks that cannot be
+drawn are counted and skipped; those that come faster than they can be drawn, the queue drops.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from shared.config import RunConfig
+from shared.errors import UserError
+from shared.robots import load_robot
+from shared.telemetry import Schema, decode_rows
+from viewer.blueprint import layout
+from viewer.display import Display
+from viewer.intake import BlockQueue, connect, subscribe
+from viewer.meshes import load_meshes
+from viewer.recording import new_recording
+from viewer.scene import Scene
+
+# The control loops on the same machine come first.
+NICENESS = 10
+# Blocks of the robot come at this rate [s].
+DRAW_PERIOD = 0.1
+
+
+def watch(
+    config: RunConfig,
+    *,
+    telemetry: str,
+    view: str,
+    out: Path | None,
+    stopped: Callable[[], bool],
+    say: Callable[[str], None],
+) -> None:
+    """Show a run until `stopped`; `UserError` if the hub or the display cannot be opened.
+
+    Says one line starting with READY when blocks are being received, and one at the end.
+    """
+    os.nice(NICENESS)
+    robot = load_robot(config.robot.name)
+    meshes = load_meshes(robot)
+    blocks = BlockQueue()
+    recording = new_recording(f"{robot.name}, live")
+    file = out / "recording.rrd" if out is not None else None
+    # Before the bus: its threads must not be forked into the display's child process.
+    display = Display(recording, view, blueprint=layout(live=True), file=file)
+    session = None
+    drawn = _Drawn(Scene(recording, robot, meshes), say)
+    try:
+        session = connect(telemetry, stopped=stopped)
+        if session is None:
+            return
+        subscribe(session, blocks, robot=robot.name)
+        say(f"READY {display.address}")
+        shown = view != "record"
+        while not stopped():
+            time.sleep(DRAW_PERIOD)
+            drawn.add(blocks.take())
+            if shown and not display.shown and not stopped():
+                shown = False
+                say("the view was closed" + ("; still recording" if file else ""))
+                if file is None:
+                    break
+        drawn.add(blocks.take())
+    finally:
+        if session is not None:
+            session.close()
+        display.close()
+    say(
+        f"{drawn.rows} rows drawn, {drawn.missing} ticks missing, "
+        f"{blocks.dropped} blocks dropped when behind, {drawn.refused} blocks refused"
+    )
+
+
+class _Drawn:
+    """The scene, and how much of what came in it has taken."""
+
+    def __init__(self, scene: Scene, say: Callable[[str], None]) -> None:
+        self.rows = 0
+        self.refused = 0
+        self.missing = 0
+        self._next_tick: int | None = None
+        self._scene = scene
+        self._say = say
+
+    def add(self, blocks: list[bytes]) -> None:
+        for block in blocks:
+            try:
+                schema, rows = decode_rows(block)
+                self._scene.log_rows(schema, rows)
+                self._count(schema, rows)
+            except (UserError, ValueError) as error:
+                if not self.refused:
+                    self._say(f"a block cannot be drawn: {error}")
+                self.refused += 1
+
+    def _count(self, schema: Schema, rows: np.ndarray) -> None:
+        """Ticks are numbered: a gap is a block that was lost on the way or dropped by the queue."""
+        self.rows += len(rows)
+        if "tick" in schema.slices and len(rows):
+            ticks = schema.column(rows, "tick").astype(int)
+            if self._next_tick is not None:
+                self.missing += max(0, int(ticks[0]) - self._next_tick)
+            self._next_tick = int(ticks[-1]) + 1

@@ -1,0 +1,102 @@
+"""The robot's visual meshes as glTF, ready to be drawn.
+
+A URDF may name COLLADA, STL or OBJ files or plain shapes; rerun draws glTF, and refuses the COLLADA
+version of some robots. Each shape is converted once, in the frame of its own file with the URDF's
+scale applied, and kept in the user's cache under the robot's name and the version of its data.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import trimesh
+
+from shared.errors import UserError
+from shared.robots import Robot
+from shared.robots.description import robots_folder
+
+
+@dataclass(frozen=True)
+class LinkMesh:
+    """A shape that a joint carries: its glTF, and its placement in the joint's frame."""
+
+    name: str
+    joint: int
+    joint_from_mesh: pin.SE3
+    glb: bytes
+
+
+def cache_folder(robot_name: str) -> Path:
+    """Where the converted meshes of a robot are kept."""
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    version = importlib.metadata.version("example-robot-data")
+    return Path(root) / "remote-wbc" / "meshes" / f"{robot_name}-{version}"
+
+
+def load_meshes(robot: Robot, *, cache: Path | None = None) -> tuple[LinkMesh, ...]:
+    """Visual shapes of a robot, converted or from the cache; `UserError` if a file is missing."""
+    folder = cache_folder(robot.name) if cache is None else cache
+    # `package://example-robot-data/robots/…` is looked up beside the installed data package.
+    packages = [str(robots_folder().parent.parent)]
+    try:
+        geometry = pin.buildGeomFromUrdf(
+            robot.model, str(robot.urdf_path), pin.GeometryType.VISUAL, package_dirs=packages
+        )
+    except ValueError as error:
+        raise UserError(f"meshes of {robot.name}: {error}") from None
+    return tuple(
+        LinkMesh(
+            name=shape.name,
+            joint=shape.parentJoint,
+            joint_from_mesh=pin.SE3(shape.placement),
+            glb=_converted(shape, folder / f"{shape.name.replace('/', '_')}.glb"),
+        )
+        for shape in geometry.geometryObjects
+    )
+
+
+def _converted(shape: pin.GeometryObject, cached: Path) -> bytes:
+    try:
+        return cached.read_bytes()
+    except OSError:
+        glb = to_glb(shape)
+    temporary = cached.with_suffix(f".{os.getpid()}")
+    try:
+        cached.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(glb)
+        temporary.replace(cached)
+    except OSError:
+        pass  # A read-only home costs a conversion at each start, nothing else.
+    return glb
+
+
+def to_glb(shape: pin.GeometryObject) -> bytes:
+    """A visual shape of Pinocchio's geometry as binary glTF."""
+    plain = _plain_shape(shape.geometry)
+    scene = trimesh.Scene(plain) if plain is not None else trimesh.load_scene(shape.meshPath)
+    colour = (np.clip(shape.meshColor, 0.0, 1.0) * 255).astype(np.uint8)
+    for mesh in scene.geometry.values():
+        if shape.overrideMaterial or not mesh.visual.defined:
+            material = trimesh.visual.material.PBRMaterial(baseColorFactor=colour)
+            mesh.visual = trimesh.visual.TextureVisuals(material=material)
+    if plain is None:
+        scene.apply_transform(np.diag([*shape.meshScale, 1.0]))
+    return bytes(scene.export(file_type="glb"))
+
+
+def _plain_shape(geometry: pin.coal.CollisionGeometry) -> trimesh.Trimesh | None:
+    """A box, sphere, cylinder or capsule as a mesh; None if the geometry comes from a file."""
+    if isinstance(geometry, pin.coal.Box):
+        return trimesh.creation.box(extents=2.0 * geometry.halfSide)
+    if isinstance(geometry, pin.coal.Sphere):
+        return trimesh.creation.icosphere(radius=geometry.radius)
+    if isinstance(geometry, pin.coal.Cylinder):
+        return trimesh.creation.cylinder(geometry.radius, 2.0 * geometry.halfLength)
+    if isinstance(geometry, pin.coal.Capsule):
+        return trimesh.creation.capsule(2.0 * geometry.halfLength, geometry.radius)
+    return None
