@@ -93,6 +93,13 @@ class Supervisor:
         first = next(reversed([task for task in waiting if task in done]))
         return waiting[first], first.result()
 
+    def running(self, name: str) -> bool:
+        """Whether a service has been started and has not ended."""
+        return any(
+            child.service.name == name and child.process.returncode is None
+            for child in self._children
+        )
+
     async def stop(self) -> None:
         """End all services, last started first; kill what has not ended after ten seconds."""
         for child in reversed(self._children):

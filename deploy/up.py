@@ -136,7 +136,17 @@ class _Stack:
                 f"{service.name} ended (exit {code}) before the robot: everything was stopped; its "
                 f"log is {self._out / service.name}.log"
             )
+        await self._linger()
         return code
+
+    async def _linger(self) -> None:
+        """Leave a view open for the person in front of it until Ctrl-C or until it is closed."""
+        if self._view == "off" or not sys.stdin.isatty():
+            return
+        self._terminal.clear()
+        self._terminal.say("up", "the run is over; the view stays open, Ctrl-C ends it")
+        while self._supervisor.running("viewer") and not self._stop.is_set():
+            await asyncio.sleep(_STATUS_SECONDS)
 
     def _service(
         self, name: str, module: str, telemetry: str, *arguments: str, vital: bool = True
@@ -164,7 +174,7 @@ class _Stack:
         (self._out / "summary.json").write_text(text + "\n", encoding="utf-8")
         for file in _PARTS.values():
             (self._out / file).unlink(missing_ok=True)
-        if self._view == "off":
+        if not (self._out / "recording.rrd").exists():
             self._record()
         print(summary_in_words(result))
         print(f"  files: {self._out}", flush=True)

@@ -14,8 +14,8 @@ FALLEN_COM_HEIGHT = 0.6
 FALLEN_TILT = 1.0
 
 # Joint hold: stiffness [1/rad] and damping [s/rad] per N m of the joint's effort limit.
-_HOLD_STIFFNESS_PER_EFFORT = 10.0
-_HOLD_DAMPING_PER_EFFORT = 0.3
+_HOLD_STIFFNESS_PER_EFFORT = 20.0
+_HOLD_DAMPING_PER_EFFORT = 1.0
 # Weight of the newest tick in the averages: a time constant of 50 ms.
 _HOLD_AVERAGE = 0.02
 

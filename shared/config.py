@@ -92,14 +92,14 @@ class LoopConfig:
     """The 1 kHz tick. `fresh_within_ns` is d* of Eq. (7).
 
     `hold_after` is the projector age [s] beyond which the robot holds its joints instead of using
-    the cache: more than the longest outage of the shipped factory profiles, less than LA lasts.
+    the cache: more than the outages of the factory and building profiles, less than LA lasts.
     `edge_compute_ns` is the edge's compute time under lockstep, where it is not measured.
     `connect_timeout` [s] is how long the robot waits for its first projector.
     """
 
     period_ns: int = 1_000_000
     fresh_within_ns: int = 500_000
-    hold_after: float = 0.6
+    hold_after: float = 0.5
     edge_compute_ns: int = 300_000
     connect_timeout: float = 20.0
 
