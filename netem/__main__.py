@@ -63,8 +63,8 @@ def main() -> int:
     )
     robot = config.robot.name
     sides = Sides(
-        uplink=far.publisher(UPLINK.key_for(robot)),
-        downlink=near.publisher(DOWNLINK.key_for(robot)),
+        uplink=far.publisher(UPLINK.key_for(robot), wait_when_full=True),
+        downlink=near.publisher(DOWNLINK.key_for(robot), wait_when_full=True),
     )
     shim = Shim(
         profile,

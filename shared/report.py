@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from shared.config import RunConfig
-from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema
+from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema, row_chunks
 
 DIRECTIONS = ("uplink", "downlink")
 SOURCES = ("fresh", "cached", "held")
@@ -56,8 +56,9 @@ def quantiles(values: np.ndarray, *, digits: int = 4) -> dict[str, float | None]
 def log_hash(schema: Schema, rows: np.ndarray) -> str:
     """SHA-256 over what the robot did: time, source, state and torque of every tick of the task."""
     digest = hashlib.sha256()
-    for name in _HASHED_COLUMNS:
-        digest.update(np.ascontiguousarray(rows[:, schema.slices[name]]).tobytes())
+    for chunk in row_chunks(rows):
+        for name in _HASHED_COLUMNS:
+            digest.update(chunk[:, schema.slices[name]].tobytes())
     return digest.hexdigest()
 
 
@@ -73,7 +74,8 @@ def robot_report(
     refused: dict[str, int],
 ) -> dict[str, Any]:
     """The robot's part, from its tick rows; rows before the task began are left out."""
-    rows = rows[schema.column(rows, "time_ns") >= 0]
+    in_task = schema.column(rows, "time_ns") >= 0
+    rows = rows[int(np.argmax(in_task)) :] if in_task.any() else rows[:0]
 
     def column(name: str) -> np.ndarray:
         return schema.column(rows, name)
@@ -182,7 +184,9 @@ def summary_in_words(summary: dict[str, Any]) -> str:
     lines = [
         f"{'FELL' if summary['fell'] else 'Stands'} after {summary['task_seconds']:.2f} s of "
         f"{summary['task']} with {summary['controller'].upper()} over {summary['network']}",
-        f"  CoM error {_number(summary['com_error_m'], 'cm', 100)}, contact violation "
+        "  CoM error and contact violation are without meaning after a fall"
+        if summary["fell"]
+        else f"  CoM error {_number(summary['com_error_m'], 'cm', 100)}, contact violation "
         f"{_number(summary['contact_violation_m_s2'], 'm/s²', digits=3)}",
         "  commands "
         + ", ".join(f"{count} {name}" for name, count in summary["commands"].items())

@@ -2,7 +2,8 @@
 
 Explicit endpoints only (no multicast, no gossip), so that two processes talk through what stands
 between them and through nothing else. Shared memory is off: it would bypass the link. Publishers
-drop rather than wait, at real-time priority, without batching.
+send at real-time priority, without batching, and drop rather than wait; only the shim waits, which
+lets out hundreds of messages at the end of an outage.
 """
 
 from __future__ import annotations
@@ -71,8 +72,11 @@ class ZenohBus:
         self._clock = machine_clock()
         self._declared: list[object] = []
 
-    def publisher(self, key: str) -> ZenohPublisher:
-        publisher = ZenohPublisher(self._session, key, clock=self._clock)
+    def publisher(self, key: str, *, wait_when_full: bool = False) -> ZenohPublisher:
+        """A publisher that drops a message it cannot send at once, or one that waits."""
+        publisher = ZenohPublisher(
+            self._session, key, clock=self._clock, wait_when_full=wait_when_full
+        )
         self._declared.append(publisher)
         return publisher
 
@@ -94,10 +98,13 @@ class ZenohBus:
 class ZenohPublisher:
     """Publisher of a `ZenohBus`."""
 
-    def __init__(self, session: zenoh.Session, key: str, *, clock: int) -> None:
+    def __init__(
+        self, session: zenoh.Session, key: str, *, clock: int, wait_when_full: bool
+    ) -> None:
+        congestion = zenoh.CongestionControl
         self._publisher = session.declare_publisher(
             key,
-            congestion_control=zenoh.CongestionControl.DROP,
+            congestion_control=congestion.BLOCK if wait_when_full else congestion.DROP,
             priority=zenoh.Priority.REAL_TIME,
             express=True,
         )
