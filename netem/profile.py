@@ -9,8 +9,10 @@ uplink and downlink apart.
 from __future__ import annotations
 
 import csv
+import io
 import json
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,8 @@ from shared.errors import ConfigError, ProfileError
 
 SHIPPED = Path(__file__).parent / "profiles"
 LOST = -1
+# No link of use is slower; a larger number is an error of units.
+MAX_DELAY_MS = 3_600_000.0
 UPLINK, DOWNLINK = 0, 1
 DIRECTIONS = ("uplink", "downlink")
 
@@ -63,11 +67,10 @@ def load_profile(network: str) -> DelayProfile:
     """A profile by shipped name (`factory/001`), file (.npz or .csv) or `constant:…`."""
     if network.startswith("constant:"):
         return constant_profile(network)
-    shipped = SHIPPED / f"{network}.npz"
-    if shipped.is_file():
+    shipped, path = SHIPPED / f"{network}.npz", Path(network)
+    if _is_file(shipped):
         return _read_npz(shipped, name=network)
-    path = Path(network)
-    if path.is_file():
+    if _is_file(path):
         if path.suffix == ".npz":
             return _read_npz(path, name=path.stem)
         if path.suffix == ".csv":
@@ -87,6 +90,13 @@ def shipped_names() -> list[str]:
     )
 
 
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name no file can have
+        return False
+
+
 def constant_profile(network: str) -> DelayProfile:
     """`constant:ROUND_TRIP` or `constant:UP/DOWN`."""
     _, _, text = network.partition(":")
@@ -103,25 +113,37 @@ def constant_profile(network: str) -> DelayProfile:
 
 def _read_npz(path: Path, *, name: str) -> DelayProfile:
     try:
-        with np.load(path) as arrays:
-            ways = [np.asarray(arrays[f"{way}_us"], dtype=np.int64) for way in DIRECTIONS]
+        # Opened here: numpy leaves a file open that it cannot read.
+        with path.open("rb") as file, np.load(io.BytesIO(file.read())) as arrays:
+            ways = [np.asarray(arrays[f"{way}_us"]) for way in DIRECTIONS]
             metadata = json.loads(str(arrays["meta"])) if "meta" in arrays else {}
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile, EOFError) as error:
+    except (
+        *(OSError, KeyError, ValueError, TypeError, EOFError, NotImplementedError),
+        *(RuntimeError, zipfile.BadZipFile, zlib.error),
+    ) as error:
         raise ProfileError(
             f"profile {path}: expected arrays uplink_us and downlink_us: {error}"
         ) from None
+    for name_us, way in zip(DIRECTIONS, ways, strict=True):
+        if way.dtype.kind not in "iuf" or not np.isfinite(way).all():
+            raise ProfileError(
+                f"profile {path}: expected whole numbers of µs in {name_us}_us, got {way.dtype} "
+                "with values that are none"
+            )
     if any(way.ndim != 1 for way in ways) or len(ways[0]) != len(ways[1]) or not len(ways[0]):
         raise ProfileError(
             f"profile {path}: expected uplink_us and downlink_us of one equal length, got shapes "
             f"{ways[0].shape} and {ways[1].shape}"
         )
     delays_us = np.vstack(ways)
-    if np.any(delays_us < LOST):
-        way, index = np.argwhere(delays_us < LOST)[0]
+    wrong = (delays_us < LOST) | (delays_us > MAX_DELAY_MS * 1000)
+    if np.any(wrong):
+        way, index = np.argwhere(wrong)[0]
         raise ProfileError(
             f"profile {path}: {DIRECTIONS[way]}_us[{index}] = {delays_us[way, index]}: expected a "
-            "delay ≥ 0 in µs, or -1 for a lost message"
+            f"delay from 0 to {MAX_DELAY_MS * 1000:.0f} µs, or -1 for a lost message"
         )
+    delays_us = delays_us.astype(np.int64)
     return _checked(name, np.where(delays_us == LOST, LOST, delays_us * 1000), metadata)
 
 
@@ -150,7 +172,7 @@ def _read_csv(path: Path) -> DelayProfile:
 def _csv_row(path: Path, line: int, cells: list[str]) -> tuple[int, int]:
     try:
         up, down = (LOST if cell.strip() == "lost" else round(float(cell) * 1e6) for cell in cells)
-        if min(up, down) < LOST or "-" in "".join(cells):
+        if max(up, down) > MAX_DELAY_MS * 1e6 or "-" in "".join(cells):
             raise ValueError
     except (ValueError, OverflowError):
         raise ProfileError(

@@ -28,7 +28,7 @@ class TorqueGuard:
 
     def accept(self, tau: np.ndarray) -> np.ndarray | None:
         """`tau` clamped, shape (nv − 6,) [N m]; None if any entry is not finite."""
-        if not math.isfinite(tau.sum()):
+        if not np.isfinite(tau).all():
             return None
         return np.minimum(np.maximum(tau, -self.limit), self.limit)
 
@@ -59,5 +59,7 @@ class JointHold:
 
 def has_fallen(q: np.ndarray, *, com_height: float, standing_com_height: float) -> bool:
     """Whether a robot at the true configuration q counts as fallen."""
-    tilt = math.acos(max(-1.0, min(1.0, float(world_from_base(q)[2, 2]))))
-    return not (com_height > FALLEN_COM_HEIGHT * standing_com_height and tilt < FALLEN_TILT)
+    upright = world_from_base(q)[2, 2] > math.cos(FALLEN_TILT)
+    high = com_height > FALLEN_COM_HEIGHT * standing_com_height
+    # Written so that a state that is not a number counts as fallen.
+    return not (upright and high)

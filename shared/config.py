@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import math
 import re
 import sys
 import types
@@ -147,22 +148,25 @@ class RunConfig:
         _one_of("controller", self.controller, CONTROLLERS)
         _one_of("view", self.view, VIEWS)
         _one_of("wire.projector_dtype", self.wire.projector_dtype, ("float32", "float64"))
+        gains, weights = self.wbc.gains, self.wbc.weights
         for name, value, low in (
             ("duration", self.duration, 1e-3),
+            *((f"wbc.gains.{key}", gain, 0.0) for key, gain in vars(gains).items()),
+            *((f"wbc.weights.{key}", weight, 1e-9) for key, weight in vars(weights).items()),
             ("seed", self.seed, 0),
             ("robot.torque_clamp", self.robot.torque_clamp, 0.01),
             ("sensors.joint_position_noise", self.sensors.joint_position_noise, 0.0),
             ("sensors.joint_velocity_noise", self.sensors.joint_velocity_noise, 0.0),
             ("wbc.friction", self.wbc.friction, 1e-3),
             ("wbc.min_normal_force", self.wbc.min_normal_force, 0.0),
-            ("wbc.weights.force", self.wbc.weights.force, 1e-9),
             ("plant.friction", self.plant.friction, 1e-3),
             ("loop.connect_timeout", self.loop.connect_timeout, 0.0),
             ("loop.hold_after", self.loop.hold_after, 0.0),
             ("loop.edge_compute_ns", self.loop.edge_compute_ns, 0),
             ("link.loss", self.link.loss, 0.0),
         ):
-            if not value >= low:
+            # Only the age limit may be infinite, which means never.
+            if not (value >= low and (math.isfinite(value) or name == "loop.hold_after")):
                 raise ConfigError(f"{name}: expected a number ≥ {low:g}, got {value!r}")
         if not self.link.loss < 1.0:
             raise ConfigError(f"link.loss: expected a probability below 1, got {self.link.loss}")
@@ -198,6 +202,9 @@ class Push:
         return self.start_ns <= time_ns < self.start_ns + self.duration_ns
 
 
+_UNITS_NS = {"us": 1e3, "ms": 1e6, "s": 1e9}
+# Times, and forces, beyond this are slips of the pen; they also stay well inside 64 bits of ns.
+_MAX_SECONDS = 1e6
 _PUSH = re.compile(
     r"(?P<force>[0-9.]+)N@(?P<start>[0-9.]+)s:(?P<duration>[0-9.]+)s:(?P<sign>[+-])(?P<axis>[xyz])"
 )
@@ -211,6 +218,8 @@ def parse_push(text: str) -> Push:
             raise ValueError
         size, start = float(match["force"]), float(match["start"])
         duration = float(match["duration"])
+        if not max(size, start, duration) <= _MAX_SECONDS:
+            raise ValueError
     except ValueError:
         raise ConfigError(
             f"push: expected FORCE@START:DURATION:DIRECTION as in 100N@1.0s:0.2s:+y "
@@ -224,9 +233,10 @@ def parse_push(text: str) -> Push:
 def parse_duration_ns(text: str) -> int:
     """`30ms`, `1.5s` or `800us` → nanoseconds."""
     match = re.fullmatch(r"([0-9]*\.?[0-9]+)(us|ms|s)", text.strip())
-    if match is None:
+    nanoseconds = float("inf") if match is None else float(match[1]) * _UNITS_NS[match[2]]
+    if not nanoseconds <= _MAX_SECONDS * 1e9:
         raise ConfigError(f"expected a duration as in 30ms, 1.5s or 800us, got {text!r}")
-    return round(float(match[1]) * {"us": 1e3, "ms": 1e6, "s": 1e9}[match[2]])
+    return round(nanoseconds)
 
 
 def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None) -> RunConfig:

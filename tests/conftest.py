@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from shared.config import RunConfig, load_config
 from shared.motion.reference import Reference, Standing
@@ -24,6 +25,12 @@ from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.stack import Stack
 from tests.states import State, random_states
+
+# The same examples in every run, however slow the machine is at that moment.
+settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session")

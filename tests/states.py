@@ -30,6 +30,4 @@ def random_state(robot: Robot, *, spread: float, rng: np.random.Generator) -> St
 
 def random_states(robot: Robot, *, count: int, rng: np.random.Generator) -> list[State]:
     """States of every spread in turn."""
-    return [
-        random_state(robot, spread=SPREADS[k % len(SPREADS)], rng=rng) for k in range(count)
-    ]
+    return [random_state(robot, spread=SPREADS[k % len(SPREADS)], rng=rng) for k in range(count)]

@@ -11,7 +11,6 @@ Which is the default, and why, is in `docs/decisions/0002-qp-back-end.md`.
 from __future__ import annotations
 
 import enum
-import math
 from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
@@ -46,10 +45,8 @@ class QuadraticProgram:
 
     def is_finite(self) -> bool:
         """False if any number is NaN or infinite."""
-        total = self.H.sum() + self.g.sum() + self.C.sum() + self.l.sum()
-        if self.E is not None and self.e is not None:
-            total += self.E.sum() + self.e.sum()
-        return math.isfinite(total)
+        arrays = (self.H, self.g, self.C, self.l, self.E, self.e)
+        return all(array is None or np.isfinite(array).all() for array in arrays)
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,9 @@ class Codec:
         entries = fields.get("projectors")
         if not isinstance(entries, list) or not 0 < len(entries) <= len(ContactMode):
             raise MessageRefused("shape", "projectors")
+        projectors = tuple(self._decode_projector_fields(entry) for entry in entries)
+        if not any(timed.projector.mode is mode for timed in projectors):
+            raise MessageRefused("mode", f"no projector of {mode.name}, which the answer is for")
         return ProjectorMessage(
             session=_integer(fields, "session"),
             sequence=_integer(fields, "sequence"),
@@ -103,7 +106,7 @@ class Codec:
             mode=mode,
             tau=_array(fields, "tau", (self._nv - 6,)),
             y=_array(fields, "y", (self._layouts[mode].n_unknowns,)),
-            projectors=tuple(self._decode_projector_fields(entry) for entry in entries),
+            projectors=projectors,
         )
 
     def _projector_fields(self, timed: TimedProjector) -> dict[str, Any]:
@@ -197,8 +200,7 @@ def _array(
     data = fields.get(name)
     if not isinstance(data, bytes) or len(data) != dtype.itemsize * math.prod(shape):
         raise MessageRefused("shape", name)
-    array = np.frombuffer(data, dtype=dtype).astype(np.float64, copy=False).reshape(shape)
-    # One reduction instead of a mask: a sum is finite only if every term is.
-    if not math.isfinite(array.sum()):
+    numbers = np.frombuffer(data, dtype=dtype)
+    if not np.isfinite(numbers).all():
         raise MessageRefused("not_finite", name)
-    return array
+    return numbers.astype(np.float64, copy=False).reshape(shape)

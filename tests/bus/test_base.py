@@ -4,7 +4,7 @@ import threading
 import time
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from shared.bus.base import (
@@ -24,7 +24,6 @@ def message(sequence, *, session=1, data=None):
     return Delivery(payload, Envelope(session, sequence, sent_ns=0, clock=0))
 
 
-@settings(deadline=None, derandomize=True)
 @given(session=WORD, sequence=WORD, sent_ns=st.integers(-(2**63), 2**63 - 1), clock=WORD)
 def test_envelopes_arrive_as_they_were_sent_in_twenty_bytes(session, sequence, sent_ns, clock):
     envelope = Envelope(session, sequence, sent_ns, clock)
@@ -90,10 +89,7 @@ def test_a_message_without_an_envelope_is_received_and_of_no_sequence():
     assert (counter.received, counter.lost) == (4, 0)
 
 
-@settings(deadline=None, derandomize=True)
-@given(
-    sent=st.integers(2, 60), kept=st.sets(st.integers(0, 59), min_size=1), order=st.randoms()
-)
+@given(sent=st.integers(2, 60), kept=st.sets(st.integers(0, 59), min_size=1), order=st.randoms())
 def test_losses_are_the_numbers_missing_between_the_first_and_the_last(sent, kept, order):
     arrived = sorted(sequence for sequence in kept if sequence < sent)
     if not arrived:

@@ -1,7 +1,7 @@
 """MuJoCo's robot is Pinocchio's robot: same inertia, same bias force, same accelerations.
 
 The tolerance is the requirement, 1e-9 relative to the largest entry. Measured over the fifty
-states: 1e-15 on M, 3e-13 on h, 7e-13 on accelerations.
+states: 5e-16 on M, 5e-16 on h, 1e-13 on accelerations.
 """
 
 from __future__ import annotations
@@ -12,6 +12,10 @@ import pinocchio as pin
 import pytest
 
 from robot_node.plant import Plant, from_mujoco, to_mujoco, world_from_base
+from shared.wbc.contacts import ContactMode
+from shared.wbc.projector import solve
+from shared.wbc.qp import DaqpSolver
+from shared.wbc.torque import recover_torque
 from tests.states import random_state
 
 TOLERANCE = 1e-9
@@ -169,31 +173,25 @@ def test_one_step_integrates_the_accelerations(in_the_air, robot, model, states)
     )
 
 
-def test_a_push_lasts_for_one_step_only(plant, robot):
-    def drift(pushes):
-        plant.set_state(robot.q_standing, np.zeros(37))
-        for push in pushes:
-            plant.step(np.zeros(31), push=np.array([0.0, push, 0.0]))
-        return plant.state()[1][1]
-
-    once, twice, never = drift([50.0, 0.0]), drift([50.0, 50.0]), drift([0.0, 0.0])
-    assert never < once < twice
+def test_a_push_lasts_for_one_step_only(in_the_air, robot, model):
+    in_the_air.set_state(robot.q_standing, np.zeros(37))
+    momenta = []
+    for push in (50.0, 0.0, 0.0, -20.0):
+        in_the_air.step(np.zeros(31), push=np.array([0.0, push, 0.0]))
+        momenta.append(robot.mass * model.kinematics(*in_the_air.state()).com_velocity[1])
+    # Momentum is the force's integral: 50 N for 1 ms, then nothing, then −20 N. Limbs that begin to
+    # move make the integrator's error of 1e-3.
+    np.testing.assert_allclose(momenta, [0.05, 0.05, 0.05, 0.03], rtol=1e-2)
 
 
 def test_a_robot_at_rest_on_the_floor_carries_its_weight(robot, config, model, reference, stacks):
-    # The controller's own torque at standing: one step must not throw the robot.
-    from shared.wbc.contacts import ContactMode
-    from shared.wbc.projector import solve
-    from shared.wbc.qp import DaqpSolver
-    from shared.wbc.torque import recover_torque
-
     plant = Plant(robot, config.plant)
     stack = stacks[ContactMode.DOUBLE_SUPPORT]
     for _ in range(200):
         q, v = plant.state()
         b = stack.right_hand_side(model.kinematics(q, v), reference)
-        y = solve(stack, stack.matrices(model.jacobians(q)), b, solver=DaqpSolver())
-        tau = recover_torque(model, stack.contacts, q, v, y.projector.apply(b))
+        solution = solve(stack, stack.matrices(model.jacobians(q)), b, solver=DaqpSolver())
+        tau = recover_torque(model, stack.contacts, q, v, solution.projector.apply(b))
         plant.step(tau, push=np.zeros(3))
     weight = robot.mass * 9.81
     force, total = np.zeros(6), 0.0
@@ -214,5 +212,5 @@ def test_a_diverged_simulation_is_not_put_back_to_its_start(robot, config):
     plant.set_state(robot.q_standing, v)
     for _ in range(5):
         plant.step(np.zeros(31), push=np.zeros(3))
-    q, v = plant.state()
-    assert not (np.allclose(q, robot.q_standing) and np.allclose(v, 0.0, atol=1.0))
+    # Put back, it would be at rest.
+    assert not np.abs(plant.state()[1]).max() < 1e3

@@ -165,7 +165,7 @@ def test_condensed_problem_has_the_forces_of_the_full_one(cases):
 def test_corners_where_points_carry_no_force_are_solved(
     robot, model, reference, states, configured, cls
 ):
-    # With no least normal force an unloaded point sits at the apex: five tight rows, three unknowns.
+    # With no least normal force an unloaded point sits at the apex: five rows, three unknowns.
     config = configured(**{"wbc.min_normal_force": 0.0})
     corners = 0
     for mode in ContactMode:

@@ -53,6 +53,15 @@ def reason_of(decode, data):
     return refusal.value.reason
 
 
+def outcome(decode, data):
+    """The message, or the reason why it is refused; any other exception passes through."""
+    try:
+        return decode(data)
+    except MessageRefused as refusal:
+        assert refusal.reason in REASONS  # noqa: PT017  (both outcomes are allowed here)
+        return refusal.reason
+
+
 def assert_usable(state):
     assert np.isfinite(state.q).all()
     assert np.isfinite(state.v).all()
@@ -73,7 +82,7 @@ def assert_applicable(message, stacks):
         assert np.isfinite(timed.projector.A_dagger).all()
         active = timed.projector.active
         assert np.all(np.diff(active) > 0)
-        assert np.all((0 <= active) & (active < len(stacks[timed.projector.mode].contacts.l)))
+        assert np.all((active >= 0) & (active < len(stacks[timed.projector.mode].contacts.l)))
 
 
 def test_every_truncation_of_a_state_is_refused(codec, state_bytes):
@@ -91,7 +100,7 @@ def test_bytes_after_the_end_are_refused(codec, state_bytes, answer_bytes):
     assert reason_of(codec.decode_projector, answer_bytes + b"\0") == "undecodable"
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300)
 @given(data=st.binary(max_size=300))
 def test_garbage_is_refused(codec, data):
     reason_of(codec.decode_state, data)
@@ -100,13 +109,9 @@ def test_garbage_is_refused(codec, data):
 
 def test_every_flipped_bit_of_a_state_is_refused_or_leaves_numbers(codec, state_bytes):
     for bit in range(8 * len(state_bytes)):
-        damaged = flip(state_bytes, bit)
-        try:
-            state = codec.decode_state(damaged)
-        except MessageRefused as refusal:
-            assert refusal.reason in REASONS
-        else:
-            assert_usable(state)
+        result = outcome(codec.decode_state, flip(state_bytes, bit))
+        if not isinstance(result, str):
+            assert_usable(result)
 
 
 def test_flipped_bits_of_a_projector_are_refused_or_leave_numbers(codec, answer_bytes, stacks, rng):
@@ -115,54 +120,60 @@ def test_flipped_bits_of_a_projector_are_refused_or_leave_numbers(codec, answer_
     tail = range(8 * (len(answer_bytes) - 100), 8 * len(answer_bytes))
     inside = rng.integers(header, tail.start, size=1500).tolist()
     for bit in [*range(header), *inside, *tail]:
-        try:
-            message = codec.decode_projector(flip(answer_bytes, bit))
-        except MessageRefused as refusal:
-            assert refusal.reason in REASONS
-        else:
-            assert_applicable(message, stacks)
+        result = outcome(codec.decode_projector, flip(answer_bytes, bit))
+        if not isinstance(result, str):
+            assert_applicable(result, stacks)
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
-@given(data=st.data())
+@settings(max_examples=200)
+@given(
+    damage=st.lists(
+        st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=4
+    )
+)
 def test_several_damaged_bytes_are_refused_or_leave_numbers(
-    codec, state_bytes, answer_bytes, stacks, data
+    codec, state_bytes, answer_bytes, stacks, damage
 ):
-    for good, decode, check in (
-        (state_bytes, codec.decode_state, assert_usable),
-        (answer_bytes, codec.decode_projector, lambda m: assert_applicable(m, stacks)),
-    ):
-        damaged = bytearray(good)
-        for _ in range(data.draw(st.integers(1, 4))):
-            position = data.draw(st.integers(0, len(good) - 1))
-            damaged[position] = data.draw(st.integers(0, 255))
-        try:
-            message = decode(bytes(damaged))
-        except MessageRefused as refusal:
-            assert refusal.reason in REASONS
-        else:
-            check(message)
+    def damaged(data):
+        data = bytearray(data)
+        for where, value in damage:
+            data[int(where * len(data))] = value
+        return bytes(data)
+
+    state = outcome(codec.decode_state, damaged(state_bytes))
+    if not isinstance(state, str):
+        assert_usable(state)
+    answer = outcome(codec.decode_projector, damaged(answer_bytes))
+    if not isinstance(answer, str):
+        assert_applicable(answer, stacks)
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+SCALARS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(2**63), 2**64 - 1),
+    st.floats(),
+    st.text(),
+    st.binary(max_size=400),
+)
+ANYTHING = st.recursive(
+    SCALARS,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=5,
+)
+
+
+@settings(max_examples=150)
 @given(
     name=st.sampled_from(["session", "sequence", "stamp_ns", "time_ns", "mode", "q", "v"]),
-    value=st.recursive(
-        st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text()
-        | st.binary(max_size=400),
-        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
-        max_leaves=5,
-    ),
-)  # fmt: skip
+    value=ANYTHING,
+)
 def test_a_field_of_any_other_type_is_refused(codec, state_bytes, name, value):
     data = altered(state_bytes, lambda fields: fields.update({name: value}))
-    try:
-        state = codec.decode_state(data)
-    except MessageRefused as refusal:
-        assert refusal.reason in {"shape", "mode", "not_finite", "undecodable", "oversized"}
-    else:
+    result = outcome(codec.decode_state, data)
+    if not isinstance(result, str):
         assert type(value) is int
-        assert getattr(state, name) == value
+        assert getattr(result, name) == value
 
 
 @pytest.mark.parametrize("name", ["session", "sequence", "stamp_ns", "time_ns", "mode", "q", "v"])
@@ -233,9 +244,10 @@ def test_an_end_with_other_settings_is_refused(
 
 
 @pytest.mark.parametrize(
-    "setting", [{"seed": 3}, {"controller": "pr"}, {"link.loss": 0.5}, {"loop.hold_after": 1.0}],
+    "setting",
+    [{"seed": 3}, {"controller": "pr"}, {"link.loss": 0.5}, {"loop.hold_after": 1.0}],
     ids=str,
-)  # fmt: skip
+)
 def test_settings_of_one_end_only_do_not_matter(robot, configured, state_bytes, setting):
     Codec(robot, configured(**setting)).decode_state(state_bytes)
 

@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from edge_node.node import EdgeNode
+from shared.telemetry import SOLVE_SCHEMA
+from shared.wbc.contacts import ContactMode
+from shared.wbc.qp import QpStatus
+from shared.wbc.torque import recover_torque
+from shared.wire.codec import Codec
+from tests.messages import altered, make_state
+
+
+@pytest.fixture(scope="module")
+def codec(robot, config):
+    return Codec(robot, config)
+
+
+@pytest.fixture
+def edge(robot, config, motion):
+    return EdgeNode(robot, config, motion)
+
+
+@pytest.fixture
+def state(robot, codec):
+    def encode(sequence=0, **changes):
+        return codec.encode_state(make_state(robot, sequence=sequence, **changes))
+
+    return encode
+
+
+def test_without_a_state_there_is_nothing_to_do(edge):
+    assert edge.step() is None
+
+
+def test_an_answer_echoes_session_sequence_and_stamp_of_its_state(edge, codec, state):
+    edge.receive(state(17, session=99, stamp_ns=123_456_789_012))
+    answer = edge.step()
+    assert answer.state_sequence == 17
+    message = codec.decode_projector(answer.data)
+    assert (message.session, message.sequence) == (99, 17)
+    assert message.stamp_ns == 123_456_789_012
+
+
+@pytest.mark.parametrize("mode", list(ContactMode))
+def test_an_answer_holds_the_projector_of_the_mode_of_its_state(edge, codec, state, mode):
+    edge.receive(state(mode=mode))
+    message = codec.decode_projector(edge.step().data)
+    assert message.mode is mode
+    assert [timed.projector.mode for timed in message.projectors] == [mode]
+
+
+def test_an_answer_may_be_used_at_any_time(edge, codec, state):
+    edge.receive(state())
+    (timed,) = codec.decode_projector(edge.step().data).projectors
+    assert timed.valid_from_ns <= 0
+    assert timed.valid_until_ns > 10**15
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_torque_and_solution_are_those_of_the_projector_sent(
+    robot, model, motion, configured, stacks, states, dtype
+):
+    config = configured(**{"wire.projector_dtype": dtype})
+    codec, edge = Codec(robot, config), EdgeNode(robot, config, motion)
+    stack = stacks[ContactMode.DOUBLE_SUPPORT]
+    for k, (q, v) in enumerate(states[:10]):
+        edge.receive(codec.encode_state(make_state(robot, sequence=k, q=q, v=v)))
+        message = codec.decode_projector(edge.step().data)
+        b = stack.right_hand_side(model.kinematics(q, v), motion.reference(0))
+        y = message.projectors[0].projector.apply(b)
+        np.testing.assert_array_equal(message.y, y)
+        np.testing.assert_array_equal(message.tau, recover_torque(model, stack.contacts, q, v, y))
+
+
+def test_each_state_is_answered_once(edge, state):
+    edge.receive(state())
+    assert edge.step() is not None
+    assert edge.step() is None
+
+
+def test_only_the_newest_of_several_states_is_answered(edge, state):
+    for sequence in (3, 5, 9):
+        edge.receive(state(sequence))
+    assert edge.step().state_sequence == 9
+    assert edge.step() is None
+    assert not edge.refused
+
+
+@pytest.mark.parametrize("late", [4, 5])
+def test_a_state_that_is_not_newer_is_stale(edge, state, late):
+    edge.receive(state(5))
+    edge.step()
+    edge.receive(state(late))
+    assert edge.refused == {"stale": 1}
+    assert edge.step() is None
+
+
+def test_a_late_state_does_not_replace_a_newer_one_that_waits(edge, state):
+    edge.receive(state(5))
+    edge.receive(state(4))
+    assert edge.step().state_sequence == 5
+
+
+def test_a_robot_that_started_anew_is_served_from_its_first_state(edge, state):
+    edge.receive(state(5000, session=1))
+    edge.step()
+    edge.receive(state(0, session=2))
+    assert edge.step().state_sequence == 0
+    assert not edge.refused
+
+
+def test_a_solution_does_not_depend_on_the_states_before(robot, config, motion, state):
+    fresh, used = EdgeNode(robot, config, motion), EdgeNode(robot, config, motion)
+    v = np.full(37, 0.1)
+    for sequence in range(5):
+        used.receive(state(sequence, v=sequence * v, mode=ContactMode(sequence % 3)))
+        used.step()
+    for edge in (fresh, used):
+        edge.receive(state(9, v=-v))
+    assert fresh.step().data == used.step().data
+
+
+def damaged(data):
+    """One message for each way of being wrong, by the reason it must be counted under."""
+
+    def poison(fields):
+        fields["v"] = np.full(37, np.nan).tobytes()
+
+    return {
+        "undecodable": data[:-1],
+        "oversized": bytes(2000),
+        "not_finite": altered(data, poison),
+        "shape": altered(data, lambda f: f.update(q=f["q"][:-8])),
+        "version": altered(data, lambda f: f.update(version=2)),
+        "kind": altered(data, lambda f: f.update(kind="projector")),
+        "config": altered(data, lambda f: f.update(config=b"otherwise")),
+        "mode": altered(data, lambda f: f.update(mode=3)),
+    }
+
+
+def test_bad_messages_are_counted_by_reason_and_not_answered(edge, state):
+    messages = damaged(state(7))
+    for data in [*messages.values(), b"", b"hello"]:
+        edge.receive(data)
+        assert edge.step() is None
+    assert edge.refused == {**dict.fromkeys(messages, 1), "undecodable": 3}
+    # A refused message is not remembered as seen.
+    edge.receive(state(7))
+    assert edge.step().state_sequence == 7
+
+
+def test_bad_messages_do_not_keep_a_good_one_from_being_answered(edge, state):
+    edge.receive(state(7))
+    for data in damaged(state(8)).values():
+        edge.receive(data)
+    assert edge.step().state_sequence == 7
+
+
+@pytest.mark.parametrize(
+    ("solver", "speed"),
+    [("daqp", 1e5), ("daqp", 1e17), ("daqp", 1e160), ("proxsuite", 1e5), ("proxsuite", 1e160)],
+)
+def test_a_state_beyond_physics_is_answered_or_named_and_never_raises(
+    robot, motion, configured, solver, speed
+):
+    config = configured(**{"wbc.solver": solver})
+    codec, edge = Codec(robot, config), EdgeNode(robot, config, motion)
+    edge.receive(codec.encode_state(make_state(robot, sequence=0, v=np.full(37, speed))))
+    with np.errstate(all="ignore"):
+        answer = edge.step()
+    assert (answer.data is None) == (answer.solution.status is not QpStatus.SOLVED)
+    assert edge.solved == {answer.solution.status.value: 1}
+    # And the next good state is served.
+    edge.receive(codec.encode_state(make_state(robot, sequence=1)))
+    assert edge.step().solution.status is QpStatus.SOLVED
+
+
+@pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (1e5, 0, 0, 1e5), (2, 0, 0, 0)], ids=str)
+def test_an_orientation_that_is_no_rotation_does_not_raise(edge, robot, state, quaternion):
+    q = robot.q_standing.copy()
+    q[3:7] = quaternion
+    edge.receive(state(q=q))
+    with np.errstate(all="ignore"):
+        assert edge.step() is not None
+
+
+def test_solves_are_counted_by_their_outcome(edge, state):
+    for sequence in range(3):
+        edge.receive(state(sequence))
+        edge.step()
+    assert edge.solved == {"solved": 3}
+
+
+def test_a_row_tells_what_the_solve_did(edge, state):
+    edge.receive(state(12))
+    answer = edge.step()
+    row = np.zeros(SOLVE_SCHEMA.width)
+    answer.record(row, wall_ns=77, solve_ns=300)
+    named = {name: row[where][0] for name, where in SOLVE_SCHEMA.slices.items()}
+    assert named == {
+        "wall_ns": 77,
+        "state_sequence": 12,
+        "solve_ns": 300,
+        "status": list(QpStatus).index(QpStatus.SOLVED),
+        "iterations": answer.solution.iterations,
+        "active_set_size": len(answer.solution.projector.active),
+    }
+
+
+def test_an_unsolved_state_leaves_a_row_without_an_active_set(edge, state):
+    edge.receive(state(0))
+    solved = edge.step()
+    failed = dataclasses.replace(
+        solved,
+        solution=dataclasses.replace(solved.solution, status=QpStatus.INFEASIBLE, projector=None),
+        data=None,
+    )
+    row = np.zeros(SOLVE_SCHEMA.width)
+    failed.record(row, wall_ns=1, solve_ns=1)
+    assert row[SOLVE_SCHEMA.slices["status"]] == list(QpStatus).index(QpStatus.INFEASIBLE)
+    assert row[SOLVE_SCHEMA.slices["active_set_size"]] == 0

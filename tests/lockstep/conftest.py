@@ -1,0 +1,50 @@
+"""Trials are played once per session and configuration, whichever tests look at them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.lockstep import Lockstep, TrialResult
+from netem.profile import LOST, DelayProfile
+from shared.config import load_config
+
+SEED = 0
+
+
+@pytest.fixture(scope="session")
+def play() -> Callable[..., TrialResult]:
+    """The result of a trial: `play(duration=1.0, **{"link.network": "direct"})`."""
+    played: dict[str, TrialResult] = {}
+
+    def trial(*, again: bool = False, **overrides: Any) -> TrialResult:
+        config = load_config(None, {"seed": SEED, **overrides})
+        key = repr(config)
+        if again or key not in played:
+            played[key] = Lockstep(config).run()
+        return played[key]
+
+    return trial
+
+
+@pytest.fixture
+def trace(tmp_path: Path) -> Callable[[np.ndarray], str]:
+    """A profile file from one-way delays in ms, shape (2, n), that a run begins at its first row.
+
+    A run starts at an offset that its seed draws; the rows are rotated by that much.
+    """
+
+    def write(delays_ms: np.ndarray) -> str:
+        profile = DelayProfile("trace", np.zeros(delays_ms.shape, dtype=np.int64))
+        start = profile.start_offset_ns(SEED) // profile.period_ns
+        rows = np.roll(delays_ms, start, axis=1).T
+        path = tmp_path / "trace.csv"
+        lines = [",".join("lost" if d == LOST else f"{d:g}" for d in row) for row in rows]
+        path.write_text("uplink_ms,downlink_ms\n" + "\n".join(lines) + "\n")
+        return str(path)
+
+    return write

@@ -1,0 +1,169 @@
+"""What the robot does when messages stop, get lost or come in disorder."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiments.lockstep import Lockstep
+from netem.profile import LOST
+from shared.errors import LinkError, ProfileError
+
+MS = 1_000_000
+ONE_WAY_MS = 5.0
+FOR_EVER = float("inf")
+
+
+def steady(milliseconds):
+    return np.full((2, milliseconds), ONE_WAY_MS)
+
+
+def column(result, name):
+    return result.schema.column(result.rows, name)
+
+
+@pytest.fixture
+def cut(trace):
+    """A link that is cut for good after 0.5 s."""
+    delays = steady(4000)
+    delays[:, 500:] = LOST
+    return trace(delays)
+
+
+@pytest.fixture
+def outage(trace):
+    """A link that loses everything from 0.5 s to 1.0 s."""
+    delays = steady(4000)
+    delays[:, 500:1000] = LOST
+    return trace(delays)
+
+
+@pytest.mark.parametrize("controller", ["la", "pr"])
+def test_when_the_link_is_cut_the_robot_goes_on_with_what_it_has(play, robot, cut, controller):
+    result = play(
+        duration=2.5,
+        push=[],
+        controller=controller,
+        **{"link.network": cut, "loop.hold_after": FOR_EVER},
+    )
+    tau = column(result, "tau")
+    assert np.isfinite(tau).all()
+    assert np.all(np.abs(tau) <= 1.45 * robot.effort_limit)
+    # Every tick has a command from the cache, and the cache only ages.
+    cached = column(result, "source") == 1
+    assert cached[10:].all()
+    ages = column(result, "projector_age_ns")[520:]
+    np.testing.assert_array_equal(np.diff(ages), 1 * MS)
+    assert result.summary["task_seconds"] > 1.0
+
+
+def test_a_robot_whose_link_is_cut_for_good_holds_its_joints_and_stands(play, cut):
+    result = play(duration=3.0, push=[], **{"link.network": cut, "loop.hold_after": 0.1})
+    # It sways by 2 cm. Entered late, after half a second of stale projectors, it may tip over.
+    com_error = column(result, "com_error_m")
+    assert not result.summary["fell"]
+    assert com_error.max() < 0.04
+    held = column(result, "source") == 2
+    # From the limit on it is held for ever: no going back and forth.
+    first = int(np.argmax(held & (column(result, "time_ns") >= 0)))
+    assert held[first:].all()
+    assert result.summary["commands"]["held"] > 2000
+
+
+@pytest.mark.parametrize("controller", ["la", "pr"])
+def test_half_a_second_of_holding_is_named_counted_and_stood(play, outage, controller):
+    limit = 0.05
+    result = play(
+        duration=1.5,
+        push=[],
+        controller=controller,
+        **{"link.network": outage, "loop.hold_after": limit},
+    )
+    summary = result.summary
+    assert not summary["fell"]
+    ages, held = column(result, "projector_age_ns"), column(result, "source") == 2
+    in_task = column(result, "time_ns") >= 0
+    # Held exactly where the projector is older than the limit.
+    np.testing.assert_array_equal(held[in_task], ages[in_task] > limit * 1e9)
+    assert summary["commands"]["held"] == int(held[in_task].sum())
+    # 500 ms without a message, less the 50 ms limit, plus the round trip after it: about 460.
+    assert 440 < summary["commands"]["held"] < 480
+    # After the outage the answers are used again at once.
+    assert not held[-300:].any()
+    com = column(result, "com")[in_task]
+    # A statue sways by millimetres; the support polygon ends 5 cm away.
+    assert np.abs(com - com[0])[:, :2].max() < 0.02
+
+
+def test_during_an_outage_shorter_than_the_limit_nothing_is_held(play, outage):
+    result = play(duration=1.5, push=[], **{"link.network": outage, "loop.hold_after": 0.6})
+    assert result.summary["commands"]["held"] == 0
+    assert not result.summary["fell"]
+    assert result.summary["projector_age_ms"]["max"] > 480
+
+
+def test_a_third_of_the_messages_may_be_lost(play):
+    result = play(duration=2.5, **{"link.network": "constant:20ms", "link.loss": 0.3})
+    assert not result.summary["fell"]
+    for name in ("uplink", "downlink"):
+        way = result.summary["link"][name]
+        # Four standard deviations of the binomial.
+        sent = way["sent"]
+        assert abs(way["dropped_by_profile"] - 0.3 * sent) < 4 * np.sqrt(0.21 * sent)
+        # Lost is what the receiver misses: the same but for messages on their way at the ends.
+        assert way["lost"] == pytest.approx(way["dropped_by_profile"], abs=25)
+
+
+def test_disorder_is_refused_as_stale_and_stood(play, trace):
+    delays = np.ones((2, 2000))
+    delays[:, ::3] = 6.0
+    settings = {"link.network": trace(delays), "duration": 0.6, "push": []}
+    overtaken = play(**settings, **{"link.keep_order": False})
+    refused = overtaken.summary["link"]["downlink"]["refused"]
+    assert set(refused) <= {"stale"}
+    assert overtaken.summary["link"]["uplink"]["refused"]["stale"] > 100
+    assert not overtaken.summary["fell"]
+    ordered = play(**settings)
+    assert ordered.summary["link"]["uplink"]["refused"] == {}
+    # Whoever keeps order waits for the slowest: overtaking can only make answers younger.
+    assert (
+        overtaken.summary["projector_age_ms"]["max"] <= ordered.summary["projector_age_ms"]["max"]
+    )
+
+
+def test_ages_never_fall_back_to_an_older_answer(play, trace, rng):
+    delays = rng.uniform(0.0, 20.0, size=(2, 2000))
+    result = play(
+        duration=0.6, push=[], **{"link.network": trace(delays), "link.keep_order": False}
+    )
+    in_task = column(result, "time_ns") >= 0
+    stamps = column(result, "wall_ns")[in_task] - column(result, "projector_age_ns")[in_task]
+    assert np.all(np.diff(stamps) >= 0)
+
+
+def test_an_edge_that_answers_too_late_is_an_error_that_names_the_link(configured):
+    config = configured(
+        duration=0.2, **{"link.network": "constant:400ms", "loop.connect_timeout": 0.3}
+    )
+    with pytest.raises(LinkError, match=r"0\.3 s.*constant:400ms"):
+        Lockstep(config).run()
+
+
+def test_the_time_to_connect_is_just_enough_for_the_round_trip(play):
+    result = play(
+        duration=0.05, **{"link.network": "constant:100ms", "loop.connect_timeout": 0.102}
+    )
+    assert result.summary["task_seconds"] == 0.05
+
+
+def test_a_profile_that_loses_everything_is_refused_before_the_trial(configured, trace):
+    network = trace(np.full((2, 10), LOST))
+    with pytest.raises(ProfileError, match="every uplink message is lost"):
+        Lockstep(configured(**{"link.network": network}))
+
+
+def test_a_fall_ends_the_trial(play):
+    result = play(duration=5.0, push=["400N@0.05s:0.3s:+x"], **{"link.network": "direct"})
+    assert result.summary["fell"]
+    assert result.summary["task_seconds"] < 3.0
+    assert len(result.rows) == round(result.summary["task_seconds"] * 1e3)

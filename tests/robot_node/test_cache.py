@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_node.cache import ProjectorCache
+from shared.wbc.contacts import ContactMode
+from shared.wire.codec import Codec
+from shared.wire.messages import TimedProjector
+from tests.messages import FOR_EVER_NS, make_answer, make_projector
+
+SESSION = 5
+DOUBLE, LEFT, RIGHT = ContactMode
+
+
+@pytest.fixture(scope="module")
+def codec(robot, configured):
+    # Single precision: three modes fit into one message.
+    return Codec(robot, configured(**{"wire.projector_dtype": "float32"}))
+
+
+@pytest.fixture
+def cache(codec):
+    return ProjectorCache(codec, session=SESSION)
+
+
+@pytest.fixture
+def answer(codec, stacks, rng):
+    def encode(sequence, *, mode=DOUBLE, **changes):
+        message = make_answer(
+            stacks[mode], rng, **{"session": SESSION, "sequence": sequence, **changes}
+        )
+        return codec.encode_projector(message)
+
+    return encode
+
+
+def held(cache, mode=DOUBLE):
+    entry = cache.lookup(mode, time_ns=0)
+    return None if entry is None else entry.message.sequence
+
+
+def test_an_empty_cache_has_nothing_for_any_mode(cache):
+    assert [cache.lookup(mode, time_ns=0) for mode in ContactMode] == [None, None, None]
+
+
+def test_the_newest_answer_is_held(cache, answer):
+    assert cache.offer(answer(3), newest_sent=10)
+    assert cache.offer(answer(7), newest_sent=10)
+    assert held(cache) == 7
+    assert not cache.refused
+
+
+@pytest.mark.parametrize("late", [6, 7])
+def test_an_answer_that_is_not_newer_is_stale(cache, answer, late):
+    cache.offer(answer(7), newest_sent=10)
+    before = cache.lookup(DOUBLE, time_ns=0)
+    assert not cache.offer(answer(late), newest_sent=10)
+    assert cache.refused == {"stale": 1}
+    assert cache.lookup(DOUBLE, time_ns=0) is before
+
+
+def test_the_answer_to_the_very_first_state_is_taken(cache, answer):
+    assert cache.offer(answer(0), newest_sent=0)
+
+
+def test_an_answer_to_a_state_not_sent_yet_is_from_the_future(cache, answer):
+    assert not cache.offer(answer(11), newest_sent=10)
+    assert cache.refused == {"future": 1}
+    # It does not shut out the answers that do come.
+    assert cache.offer(answer(10), newest_sent=10)
+
+
+def test_an_answer_to_another_start_of_the_robot_is_refused(cache, answer):
+    assert not cache.offer(answer(3, session=SESSION + 1), newest_sent=10)
+    assert cache.refused == {"session": 1}
+    assert held(cache) is None
+
+
+def test_what_the_codec_refuses_is_counted_under_its_reason(cache, answer):
+    good = answer(3)
+    for data in (b"", good[:-1], good[:-1], bytes(50_000), b"\x80"):
+        assert not cache.offer(data, newest_sent=10)
+    assert cache.refused == {"undecodable": 3, "oversized": 1, "version": 1}
+    assert held(cache) is None
+
+
+def test_each_mode_keeps_its_own_projector(cache, answer):
+    cache.offer(answer(3, mode=DOUBLE), newest_sent=10)
+    cache.offer(answer(4, mode=LEFT), newest_sent=10)
+    assert held(cache, DOUBLE) == 3
+    assert held(cache, LEFT) == 4
+    assert held(cache, RIGHT) is None
+    assert cache.lookup(LEFT, time_ns=0).projector.mode is LEFT
+
+
+def test_one_answer_may_bring_projectors_of_several_modes(cache, answer, stacks, rng):
+    timed = tuple(
+        TimedProjector(make_projector(stacks[mode], rng), 0, FOR_EVER_NS) for mode in ContactMode
+    )
+    cache.offer(answer(3, projectors=timed), newest_sent=10)
+    assert [held(cache, mode) for mode in ContactMode] == [3, 3, 3]
+    for mode in ContactMode:
+        layout = stacks[mode].layout
+        projector = cache.lookup(mode, time_ns=0).projector
+        assert projector.A_dagger.shape == (layout.n_unknowns, layout.n_rows)
+
+
+@pytest.mark.parametrize(
+    ("time_ns", "usable"), [(99, False), (100, True), (150, True), (200, True), (201, False)]
+)
+def test_a_projector_is_used_within_its_time_only(cache, answer, stacks, rng, time_ns, usable):
+    timed = TimedProjector(make_projector(stacks[DOUBLE], rng), 100, 200)
+    cache.offer(answer(3, projectors=(timed,)), newest_sent=10)
+    assert (cache.lookup(DOUBLE, time_ns=time_ns) is not None) is usable
+
+
+def test_the_cached_numbers_are_those_of_the_message(cache, codec, stacks, rng):
+    message = make_answer(stacks[DOUBLE], rng, session=SESSION)
+    cache.offer(codec.encode_projector(message), newest_sent=10)
+    entry = cache.lookup(DOUBLE, time_ns=0)
+    np.testing.assert_array_equal(
+        entry.projector.A_dagger, message.projectors[0].projector.A_dagger.astype(np.float32)
+    )
+    np.testing.assert_array_equal(entry.message.tau, message.tau)
+    assert entry.message.stamp_ns == message.stamp_ns

@@ -1,0 +1,173 @@
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from robot_node.safety import FALLEN_COM_HEIGHT, FALLEN_TILT, JointHold, TorqueGuard, has_fallen
+
+HEIGHT = 0.66
+
+
+@pytest.fixture
+def guard(robot):
+    return TorqueGuard(robot, clamp=1.45)
+
+
+@pytest.fixture
+def hold(robot):
+    return JointHold(robot)
+
+
+def test_a_torque_within_the_limits_passes_unchanged(guard, rng):
+    tau = guard.limit * rng.uniform(-1.0, 1.0, size=31)
+    np.testing.assert_array_equal(guard.accept(tau), tau)
+
+
+def test_a_torque_beyond_the_limits_is_clamped_joint_by_joint(guard, robot):
+    tau = np.zeros(31)
+    tau[4], tau[9] = 1e6, -1e6
+    safe = guard.accept(tau)
+    assert safe[4] == pytest.approx(1.45 * robot.effort_limit[4], rel=1e-15)
+    assert safe[9] == pytest.approx(-1.45 * robot.effort_limit[9], rel=1e-15)
+    np.testing.assert_array_equal(np.delete(safe, [4, 9]), 0.0)
+
+
+def test_the_clamp_scales_the_limits(robot):
+    np.testing.assert_array_equal(TorqueGuard(robot, clamp=1.0).limit, robot.effort_limit)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("joint", [0, 15, 30])
+def test_a_torque_that_is_not_finite_is_refused_whole(guard, value, joint):
+    tau = np.ones(31)
+    tau[joint] = value
+    assert guard.accept(tau) is None
+
+
+def test_infinities_that_cancel_are_refused(guard):
+    tau = np.ones(31)
+    tau[:2] = np.inf, -np.inf
+    assert guard.accept(tau) is None
+
+
+def test_the_guard_leaves_its_input_alone(guard):
+    tau = np.full(31, 1e6)
+    guard.accept(tau)
+    np.testing.assert_array_equal(tau, 1e6)
+
+
+def observed(hold, q, tau, ticks):
+    for _ in range(ticks):
+        hold.observe(q, tau)
+    return hold
+
+
+def test_holding_goes_on_with_the_posture_and_the_torque_of_before(hold, robot, rng):
+    q, tau = robot.q_standing.copy(), rng.standard_normal(31)
+    q[7:] += 0.3
+    # A second of 1 kHz, twenty time constants of the average: e⁻²⁰ of the difference is left.
+    observed(hold, q, tau, 1000)
+    np.testing.assert_allclose(hold.torque(q, np.zeros(37)), tau, atol=1e-5)
+
+
+def test_a_robot_that_was_never_controlled_holds_its_standing_posture(hold, robot):
+    np.testing.assert_array_equal(hold.torque(robot.q_standing, np.zeros(37)), 0.0)
+
+
+def test_a_joint_that_leaves_is_pulled_back_and_braked(hold, robot):
+    q, v = robot.q_standing.copy(), np.zeros(37)
+    q[7 + 3] += 0.1
+    v[6 + 5] = 1.0
+    tau = hold.torque(q, v)
+    assert tau[3] < 0.0
+    assert tau[5] < 0.0
+    np.testing.assert_array_equal(np.delete(tau, [3, 5]), 0.0)
+
+
+def test_what_is_held_does_not_move_while_it_is_held(hold, robot, rng):
+    observed(hold, robot.q_standing, np.full(31, 2.0), 1000)
+    before = hold.torque(robot.q_standing, np.zeros(37))
+    for _ in range(100):
+        q = robot.q_standing.copy()
+        q[7:] += rng.standard_normal(31)
+        hold.torque(q, rng.standard_normal(37))
+    np.testing.assert_array_equal(hold.torque(robot.q_standing, np.zeros(37)), before)
+
+
+def test_what_is_held_follows_a_new_posture_within_a_tenth_of_a_second(hold, robot):
+    q = robot.q_standing.copy()
+    q[7:] += 0.1
+    start = hold.torque(q, np.zeros(37))
+    # A time constant of 50 ms: 1/e of the way is left after 50 ticks, 1/e² after 100.
+    for share in (np.exp(-1.0), np.exp(-2.0)):
+        left = observed(hold, q, np.zeros(31), 50).torque(q, np.zeros(37))
+        np.testing.assert_allclose(left, share * start, rtol=0.03)
+
+
+def test_one_noisy_measurement_is_not_what_is_held(hold, robot, rng):
+    sigma, away = 1e-2, robot.q_standing.copy()
+    away[7:] += 1.0
+    stiffness = -hold.torque(away, np.zeros(37))
+    for _ in range(500):
+        q = robot.q_standing.copy()
+        q[7:] += sigma * rng.standard_normal(31)
+        hold.observe(q, np.zeros(31))
+    offset = hold.torque(robot.q_standing, np.zeros(37)) / stiffness
+    # The average lets √(0.02 / 1.98) = 0.1 of σ through; the largest of 31 is below 4 of those.
+    assert np.abs(offset).max() < 4 * 0.1 * sigma
+
+
+def test_what_is_held_does_not_follow_arrays_that_change(hold, robot):
+    q, tau = robot.q_standing.copy(), np.full(31, 2.0)
+    observed(hold, q, tau, 10)
+    before = hold.torque(robot.q_standing, np.zeros(37))
+    tau[:] = 50.0
+    q[7:] += 1.0
+    np.testing.assert_array_equal(hold.torque(robot.q_standing, np.zeros(37)), before)
+
+
+def tilted(robot, angle, axis):
+    step = np.zeros(37)
+    step[3 + axis] = angle
+    return pin.integrate(robot.model, robot.q_standing, step)
+
+
+def fallen(q, *, com_height=HEIGHT):
+    return has_fallen(q, com_height=com_height, standing_com_height=HEIGHT)
+
+
+def test_a_standing_robot_has_not_fallen(robot):
+    assert not fallen(robot.q_standing)
+
+
+def test_a_low_centre_of_mass_is_a_fall(robot):
+    limit = FALLEN_COM_HEIGHT * HEIGHT
+    assert not fallen(robot.q_standing, com_height=limit + 1e-6)
+    assert fallen(robot.q_standing, com_height=limit - 1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_tilted_base_is_a_fall(robot, axis, sign):
+    assert not fallen(tilted(robot, sign * (FALLEN_TILT - 1e-3), axis))
+    assert fallen(tilted(robot, sign * (FALLEN_TILT + 1e-3), axis))
+
+
+def test_a_robot_on_its_head_has_fallen(robot):
+    assert fallen(tilted(robot, np.pi, 0))
+
+
+def test_turning_on_the_spot_is_no_fall(robot):
+    assert not fallen(tilted(robot, 3.0, 2))
+
+
+@pytest.mark.parametrize("height", [np.nan, -np.inf])
+def test_a_height_that_is_no_number_is_a_fall(robot, height):
+    assert fallen(robot.q_standing, com_height=height)
+
+
+def test_an_orientation_that_is_no_number_is_a_fall(robot):
+    q = robot.q_standing.copy()
+    q[3:7] = np.nan
+    assert fallen(q)
