@@ -29,7 +29,7 @@ from shared.service import (
 from shared.telemetry import LINK_SCHEMA
 from shared.wire.channels import DOWNLINK, LINK_KEY, UPLINK
 
-_PRIORITY = 30
+_PRIORITY = 20
 
 
 def main() -> int:

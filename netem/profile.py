@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import tokenize
 import zipfile
 import zlib
 from dataclasses import dataclass, field
@@ -119,7 +120,7 @@ def _read_npz(path: Path, *, name: str) -> DelayProfile:
             metadata = json.loads(str(arrays["meta"])) if "meta" in arrays else {}
     except (
         *(OSError, KeyError, ValueError, TypeError, EOFError, NotImplementedError),
-        *(RuntimeError, zipfile.BadZipFile, zlib.error),
+        *(RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
     ) as error:
         raise ProfileError(
             f"profile {path}: expected arrays uplink_us and downlink_us: {error}"

@@ -1,7 +1,7 @@
 """The shim: two delay lines between a near side (the robot) and a far side (the edge).
 
-Messages come in on the buses' threads and go out on one releasing thread, which sleeps until just
-before the next one is due and spins the rest. A message is due a nominal delay after it was *sent*
+Messages come in on the buses' threads and go out on one releasing thread, which sleeps until the
+next one is due. A message is due a nominal delay after it was *sent*
 if sender and shim read the same clock, else after it arrived. Payloads are opaque.
 """
 
@@ -17,11 +17,9 @@ import numpy as np
 from netem.delay_line import DelayLine, Due
 from netem.profile import DIRECTIONS, DelayProfile
 from shared.bus.base import Delivery, Publisher
-from shared.clock import sleep_until
 from shared.config import LinkConfig
 from shared.telemetry import LINK_SCHEMA, RowLog
 
-_SPIN_NS = 30_000
 _IDLE_SECONDS = 0.1
 
 
@@ -81,11 +79,8 @@ class Shim:
     def run(self, stopping: Callable[[], bool]) -> None:
         """Release messages until `stopping()`."""
         while not stopping():
-            due_ns = self._wait_for_work()
-            if due_ns is None:
-                continue
-            sleep_until(due_ns, spin_ns=_SPIN_NS)
-            self._release()
+            if self._wait_for_work():
+                self._release()
 
     def _start(self, now_ns: int) -> None:
         """The profile begins with the first message."""
@@ -104,18 +99,17 @@ class Shim:
         )
         self._say(f"replaying {self._profile.name} from {offset_ns * 1e-9:.3f} s")
 
-    def _wait_for_work(self) -> int | None:
-        """When the next message is due, once that is near; None if there is nothing yet."""
+    def _wait_for_work(self) -> bool:
+        """Sleep until a message is due or something has changed; whether one is due."""
         with self._changed:
             due = [line.next_due_ns for line in self._lines if line.next_due_ns is not None]
             if not due:
                 self._changed.wait(_IDLE_SECONDS)
-                return None
+                return False
             remaining_ns = min(due) - time.monotonic_ns()
-            if remaining_ns > _SPIN_NS:
-                self._changed.wait((remaining_ns - _SPIN_NS) * 1e-9)
-                return None
-            return min(due)
+            if remaining_ns > 0:
+                self._changed.wait(remaining_ns * 1e-9)
+            return remaining_ns <= 0
 
     def _release(self) -> None:
         with self._changed:

@@ -23,7 +23,7 @@ from shared.robots import load_robot
 from shared.service import NETEM_ENDPOINT, ServiceLog, StopSignal, add_service_arguments
 from shared.wire.channels import DOWNLINK, TICKS_KEY, UPLINK
 
-_PRIORITY = 20
+_PRIORITY = 30
 _EXIT_INTERRUPTED = 130
 
 

@@ -78,8 +78,7 @@ class LiveLoop:
             measured_ns = clock.now_ns()
 
             if self._round_trip_ns < config.fresh_within_ns:
-                # This phase needs no precise beginning, so it is not spun for.
-                sleep_until(ticker.due_ns + config.fresh_within_ns, spin_ns=0)
+                sleep_until(ticker.due_ns + config.fresh_within_ns)
             received_ns = clock.now_ns()
             for data in self._inbox.take():
                 if node.receive(data):

@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import io
 import warnings
+import zipfile
 
 import numpy as np
 import pytest
@@ -271,6 +273,17 @@ def test_a_file_that_is_no_archive_is_refused(tmp_path, content):
     path = tmp_path / "trace.npz"
     path.write_bytes(content)
     assert "trace.npz" in message_of(str(path))
+
+
+def test_a_whole_archive_of_a_damaged_array_is_refused(tmp_path):
+    # The archive's checksums hold; it is NumPy's header inside that has lost a bracket.
+    buffer = io.BytesIO()
+    np.save(buffer, GOOD)
+    path = tmp_path / "trace.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in ("uplink_us", "downlink_us"):
+            archive.writestr(f"{name}.npy", buffer.getvalue().replace(b"(3,)", b"(3, "))
+    assert "uplink_us and downlink_us" in message_of(str(path))
 
 
 def test_a_refused_file_is_closed(tmp_path):

@@ -29,11 +29,10 @@ def test_the_monotonic_clock_goes_on():
     assert before <= now_ns <= after
 
 
-@pytest.mark.parametrize("spin_ns", [0, 100_000, 10 * MS])
-def test_sleeping_never_ends_early_however_much_of_it_is_spun(spin_ns):
+def test_sleeping_never_ends_early():
     for delay_ns in (200_000, 2 * MS):
         due_ns = time.monotonic_ns() + delay_ns
-        sleep_until(due_ns, spin_ns=spin_ns)
+        sleep_until(due_ns)
         assert time.monotonic_ns() >= due_ns
 
 
