@@ -119,7 +119,8 @@ def _read_npz(path: Path, *, name: str) -> DelayProfile:
             ways = [np.asarray(arrays[f"{way}_us"]) for way in DIRECTIONS]
             metadata = json.loads(str(arrays["meta"])) if "meta" in arrays else {}
     except (
-        *(OSError, KeyError, ValueError, TypeError, EOFError, NotImplementedError),
+        *(OSError, KeyError, ValueError, TypeError, AttributeError, EOFError),
+        NotImplementedError,
         *(RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
     ) as error:
         raise ProfileError(
@@ -152,8 +153,8 @@ def _read_csv(path: Path) -> DelayProfile:
     """`uplink_ms,downlink_ms` with one row per millisecond; `lost` for a lost message."""
     rows: list[tuple[int, int]] = []
     with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.reader(file)
         try:
-            reader = csv.reader(file)
             header = [cell.strip() for cell in next(reader, [])]
             if header != ["uplink_ms", "downlink_ms"]:
                 raise ProfileError(
@@ -164,7 +165,9 @@ def _read_csv(path: Path) -> DelayProfile:
                 if cells:
                     rows.append(_csv_row(path, reader.line_num, cells))
         except (UnicodeDecodeError, csv.Error) as error:
-            raise ProfileError(f"profile {path}: not a text file of values: {error}") from None
+            raise ProfileError(
+                f"profile {path}, line {reader.line_num}: not a text file of values: {error}"
+            ) from None
     if not rows:
         raise ProfileError(f"profile {path}: expected at least one row after the header")
     return _checked(path.stem, np.array(rows, dtype=np.int64).T, {"source": path.name})

@@ -230,6 +230,6 @@ def read_parquet(path: Path) -> tuple[Schema, np.ndarray]:
         if pa.types.is_fixed_size_list(kind):
             width, kind = kind.list_size, kind.value_type
             array = array.flatten()
-        columns.append(Column(name, width, str(np.dtype(kind.to_pandas_dtype()))))
+        columns.append(Column(name, width, str(kind).replace("double", "float64")))
         parts.append(array.to_numpy(zero_copy_only=False).astype(np.float64).reshape(-1, width))
     return Schema(*columns), np.hstack(parts)

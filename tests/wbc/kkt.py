@@ -61,4 +61,4 @@ def are_independent(problem: QuadraticProgram, active: np.ndarray) -> bool:
     n = problem.H.shape[0]
     E = np.zeros((0, n)) if problem.E is None else problem.E
     rows = np.vstack([E, problem.C[active]])
-    return int(np.linalg.matrix_rank(rows)) == len(rows)
+    return not len(rows) or int(np.linalg.matrix_rank(rows)) == len(rows)
