@@ -12,7 +12,7 @@ from edge_node.node import EdgeNode
 from shared.bus.base import Inbox
 from shared.bus.zenoh_bus import ZenohBus
 from shared.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
-from shared.motion.reference import Standing
+from shared.motion.plan import make_motion
 from shared.realtime import prepare, suspend_garbage_collection
 from shared.report import edge_report
 from shared.robots import load_robot
@@ -34,7 +34,7 @@ def main() -> int:
     arguments = parser.parse_args()
     config = config_from(arguments)
     robot = load_robot(config.robot.name)
-    node = EdgeNode(robot, config, Standing(robot))
+    node = EdgeNode(robot, config, make_motion(robot, config))
     stop = StopSignal()
     scheduling = prepare(priority=_PRIORITY)
     bus = ZenohBus(listen=[arguments.listen])

@@ -17,16 +17,13 @@ from shared.errors import MessageRefused
 from shared.motion.reference import Motion
 from shared.robots import Robot
 from shared.telemetry import SOLVE_SCHEMA
-from shared.wbc.contacts import ContactMode
-from shared.wbc.model import WholeBodyModel
-from shared.wbc.projector import WholeBodySolution, solve
-from shared.wbc.qp import QpStatus, make_solver
-from shared.wbc.stack import Stack
+from shared.wbc.projector import WholeBodySolution
+from shared.wbc.qp import QpStatus
 from shared.wbc.torque import recover_torque
+from shared.wbc.whole_body import TimedProjector, WholeBodyController
 from shared.wire.codec import Codec
-from shared.wire.messages import ProjectorMessage, RobotState, TimedProjector
+from shared.wire.messages import ProjectorMessage, RobotState
 
-_FOR_EVER_NS = 2**62
 _STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 
 
@@ -56,11 +53,10 @@ class EdgeNode:
     def __init__(self, robot: Robot, config: RunConfig, motion: Motion) -> None:
         self.refused = RefusalCounter()
         self.solved: Counter[str] = Counter()
-        self._model = WholeBodyModel(robot)
-        self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+        self._controller = WholeBodyController(robot, config.wbc, motion)
         self._codec = Codec(robot, config)
         self._motion = motion
-        self._solver = make_solver(config.wbc.solver)
+        self._switch = config.switch
         self._newest: RobotState | None = None
         self._last_seen: tuple[int, int] | None = None
 
@@ -83,25 +79,34 @@ class EdgeNode:
         state, self._newest = self._newest, None
         if state is None:
             return None
-        stack = self._stacks[state.mode]
-        reference = self._motion.reference(state.time_ns)
-        kinematics = self._model.kinematics(state.q, state.v)
-        b = stack.right_hand_side(kinematics, reference)
-        matrices = stack.matrices(self._model.jacobians(state.q))
-        solution = solve(stack, matrices, b, solver=self._solver)
+        controller = self._controller
+        q, v, time_ns = state.q, state.v, state.time_ns
+        solution, b = controller.solve(q, v, time_ns=time_ns, mode=state.mode)
         self.solved[solution.status.value] += 1
         if solution.status is not QpStatus.SOLVED or solution.projector is None:
             return Answer(state.sequence, solution, None)
         # Rounded first, so that the torque sent is the one that the projector sent gives.
         projector = self._codec.rounded(solution.projector)
         y = projector.apply(b)
+        contacts = controller.stacks[state.mode].contacts
         message = ProjectorMessage(
             session=state.session,
             sequence=state.sequence,
             stamp_ns=state.stamp_ns,
             mode=state.mode,
-            tau=recover_torque(self._model, stack.contacts, state.q, state.v, y),
+            tau=recover_torque(controller.model, contacts, q, v, y),
             y=y,
-            projectors=(TimedProjector(projector, 0, _FOR_EVER_NS),),
+            projectors=(controller.timed(projector, from_ns=time_ns), *self._prepared(state)),
         )
         return Answer(state.sequence, solution, self._codec.encode_projector(message))
+
+    def _prepared(self, state: RobotState) -> tuple[TimedProjector, ...]:
+        """The next contact mode's projector, shortly before the switch to it."""
+        switch = self._motion.next_switch(state.time_ns)
+        config = self._switch
+        if not config.prepare_on_edge or switch is None:
+            return ()
+        if switch[0] - state.time_ns > config.prepare_ns:
+            return ()
+        prepared = self._controller.prepare(state.q, state.v, time_ns=state.time_ns)
+        return () if prepared is None else (prepared,)

@@ -29,7 +29,7 @@ from shared.bus.memory import MemoryBus
 from shared.clock import SimClock
 from shared.config import RunConfig
 from shared.errors import LinkError
-from shared.motion.reference import Standing
+from shared.motion.plan import make_motion
 from shared.report import edge_report, link_report, robot_report, summary
 from shared.robots import load_robot
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, RowLog, Schema
@@ -56,7 +56,7 @@ class Lockstep:
         self.config = config
         self.clock = SimClock()
         robot = load_robot(config.robot.name)
-        motion = Standing(robot)
+        motion = make_motion(robot, config)
         self.robot = RobotNode(robot, config, motion, session=1)
         self.edge = EdgeNode(robot, config, motion)
         self.ticks = RowLog(self.robot.schema)

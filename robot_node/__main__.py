@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from robot_node.live import LiveLoop, Narrator
-from robot_node.node import RobotNode
+from robot_node.node import RobotNode, needs_on_board_computer
+from robot_node.worker import WorkerComputer
 from shared.bus.base import Inbox
 from shared.bus.zenoh_bus import ZenohBus
 from shared.cli import EXIT_FELL, EXIT_STANDING, Parser, add_run_arguments, config_from, run
 from shared.errors import LinkError
-from shared.motion.reference import Standing
+from shared.motion.plan import make_motion
 from shared.realtime import prepare, suspend_garbage_collection
 from shared.report import robot_report
 from shared.robots import load_robot
@@ -40,8 +41,10 @@ def main() -> int:
     arguments = parser.parse_args()
     config = config_from(arguments)
     robot = load_robot(config.robot.name)
-    node = RobotNode(robot, config, Standing(robot))
+    motion = make_motion(robot, config)
     stop = StopSignal()
+    computer = WorkerComputer(config) if needs_on_board_computer(config, motion) else None
+    node = RobotNode(robot, config, motion, computer=computer)
     scheduling = prepare(priority=_PRIORITY)
     bus = ZenohBus(connect=[arguments.connect])
     log = ServiceLog(
@@ -65,6 +68,8 @@ def main() -> int:
         except LinkError as error:
             failure = error
     bus.close()
+    if node.on_board is not None:
+        node.on_board.close()
 
     def make_report(rows: np.ndarray) -> dict[str, Any]:
         return robot_report(

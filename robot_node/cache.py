@@ -7,22 +7,32 @@ never applied.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from shared.bus.base import RefusalCounter
 from shared.errors import MessageRefused
 from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import Projector
+from shared.wbc.whole_body import TimedProjector
 from shared.wire.codec import Codec
-from shared.wire.messages import ProjectorMessage, TimedProjector
 
 
 @dataclass(frozen=True, slots=True)
 class CacheEntry:
-    """A projector with the message it came in."""
+    """A projector, and the state it was computed from: its tick and the robot's clock then.
+
+    `tau` and `y` are the full solution at that state; None for what was solved on board or for
+    another contact mode than the state's.
+    """
 
     timed: TimedProjector
-    message: ProjectorMessage
+    sequence: int
+    stamp_ns: int
+    on_board: bool = False
+    tau: np.ndarray | None = None
+    y: np.ndarray | None = None
 
     @property
     def projector(self) -> Projector:
@@ -30,11 +40,12 @@ class CacheEntry:
 
 
 class ProjectorCache:
-    """Newest projector per contact mode."""
+    """Newest projector per contact mode, and the newest full solution of any mode."""
 
     def __init__(self, codec: Codec, *, session: int) -> None:
         self.refused = RefusalCounter()
         self.newest_stamp_ns = 0
+        self.newest_solution: CacheEntry | None = None
         self._codec = codec
         self._session = session
         self._newest_sequence = -1
@@ -54,16 +65,29 @@ class ProjectorCache:
             self.refused[refusal.reason] += 1
             return False
         self._newest_sequence = message.sequence
-        for timed in message.projectors:
-            self._entries[timed.projector.mode] = CacheEntry(timed, message)
         self.newest_stamp_ns = message.stamp_ns
+        for timed in message.projectors:
+            entry = CacheEntry(timed, message.sequence, message.stamp_ns)
+            if timed.projector.mode is message.mode:
+                entry = replace(entry, tau=message.tau, y=message.y)
+                self.newest_solution = entry
+            self.keep(entry)
         return True
+
+    def keep(self, entry: CacheEntry) -> None:
+        """Keep an entry unless one from a newer state is there: the faster answer wins."""
+        mode = entry.projector.mode
+        held = self._entries.get(mode)
+        # Of two from the same state the edge's wins.
+        least = -1 if held is None else held.sequence + entry.on_board
+        if entry.sequence >= least:
+            self._entries[mode] = entry
 
     def lookup(self, mode: ContactMode, *, time_ns: int) -> CacheEntry | None:
         """The newest projector of a mode that may be used at a task time, or None."""
         entry = self._entries.get(mode)
         if entry is None:
             return None
-        if not entry.timed.valid_from_ns <= time_ns <= entry.timed.valid_until_ns:
+        if not entry.timed.valid_from_ns <= time_ns < entry.timed.valid_until_ns:
             return None
         return entry

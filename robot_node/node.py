@@ -17,6 +17,7 @@ import numpy as np
 
 from robot_node.cache import ProjectorCache
 from robot_node.controllers import Measurement, Source, make_controller
+from robot_node.onboard import ModelledComputer, OnBoardComputer, OnBoardWindow
 from robot_node.plant import Plant
 from robot_node.safety import JointHold, TorqueGuard, has_fallen
 from robot_node.sensors import Sensors
@@ -28,6 +29,7 @@ from shared.telemetry import Schema, tick_schema
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import Kinematics, WholeBodyModel
 from shared.wbc.stack import Stack
+from shared.wbc.whole_body import WholeBodyController
 from shared.wire.codec import Codec
 from shared.wire.messages import RobotState
 
@@ -46,11 +48,26 @@ class Command:
     active_set_size: int
 
 
+def needs_on_board_computer(config: RunConfig, motion: Motion) -> bool:
+    """Whether this run solves QPs on the robot: with LA, around contact switches."""
+    switch = config.switch
+    wanted = switch.prepare_on_board or switch.solve_on_board
+    return config.controller == "la" and wanted and motion.next_switch(0) is not None
+
+
 class RobotNode:
-    """Simulated robot and local controller. `session` names this start of the robot."""
+    """Simulated robot and local controller. `session` names this start of the robot; `computer`
+    is the on-board one, by default one whose compute time is modelled.
+    """
 
     def __init__(
-        self, robot: Robot, config: RunConfig, motion: Motion, *, session: int | None = None
+        self,
+        robot: Robot,
+        config: RunConfig,
+        motion: Motion,
+        *,
+        session: int | None = None,
+        computer: OnBoardComputer | None = None,
     ) -> None:
         self.schema: Schema = tick_schema(nq=robot.model.nq, nv=robot.model.nv)
         self.running = False
@@ -65,14 +82,17 @@ class RobotNode:
         self._sensors = Sensors(config.sensors, seed=config.seed)
         self._model = WholeBodyModel(robot)
         self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
-        self._controllers = {
-            mode: make_controller(config.controller, self._model, stack)
-            for mode, stack in self._stacks.items()
-        }
+        self._controller = make_controller(config.controller, self._model, self._stacks)
         self._session = new_session() if session is None else session
         codec = Codec(robot, config)
         self._codec = codec
         self.cache = ProjectorCache(codec, session=self._session)
+        self.on_board: OnBoardWindow | None = None
+        if needs_on_board_computer(config, motion):
+            if computer is None:
+                solver = WholeBodyController(robot, config.wbc, motion)
+                computer = ModelledComputer(solver, motion, compute_ns=config.switch.compute_ns)
+            self.on_board = OnBoardWindow(config.switch, motion, computer)
         self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
         self._hold = JointHold(robot)
         self._hold_after_ns = config.loop.hold_after * 1e9
@@ -110,18 +130,21 @@ class RobotNode:
     def command(self, now_ns: int) -> Command:
         """Second phase: the torque of this tick, Eq. (7)."""
         mode = self._reference.mode
-        entry = self.cache.lookup(mode, time_ns=self.time_ns)
+        self._solve_on_board()
+        entry = self._controller.choose(self.cache, mode, time_ns=self.time_ns)
         if entry is None:
             return self._held(age_ns=-1)
-        age_ns = now_ns - entry.message.stamp_ns
+        age_ns = now_ns - entry.stamp_ns
         if age_ns > self._hold_after_ns:
             return self._held(age_ns=age_ns)
-        tau, y = self._controllers[mode].command(entry, self._measurement)
+        tau, y = self._controller.command(entry, self._measurement)
         safe = self._guard.accept(tau)
         if safe is None:
             return self._held(age_ns=age_ns)
         self._hold.observe(self._measurement.q, safe)
-        source = Source.FRESH if entry.message.sequence == self.tick else Source.CACHED
+        source = Source.FRESH if entry.sequence == self.tick else Source.CACHED
+        if entry.on_board:
+            source = Source.ON_BOARD
         return Command(safe, y, source, age_ns, len(entry.projector.active))
 
     def advance(self, command: Command) -> None:
@@ -164,6 +187,20 @@ class RobotNode:
         self.fallen = has_fallen(
             q, com_height=com[2], standing_com_height=self._standing_com_height
         )
+
+    def _solve_on_board(self) -> None:
+        if self.on_board is None or not self.running:
+            return
+        now = self._measurement
+        solved = self.on_board.tick(
+            now.q,
+            now.v,
+            time_ns=self.time_ns,
+            sequence=self.tick,
+            stamp_ns=self._measured_ns,
+        )
+        if solved is not None:
+            self.cache.keep(solved)
 
     def _held(self, *, age_ns: int) -> Command:
         now = self._measurement

@@ -17,7 +17,7 @@ from shared.config import RunConfig
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema, row_chunks
 
 DIRECTIONS = ("uplink", "downlink")
-SOURCES = ("fresh", "cached", "held")
+SOURCES = ("fresh", "cached", "held", "on_board")
 _PACKAGES = (
     "eclipse-zenoh",
     "pin",

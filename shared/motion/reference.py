@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 import pinocchio as pin
 
+from shared.motion.swing import SwingState
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 
@@ -26,13 +27,18 @@ class Reference:
     world_from_base: np.ndarray
     posture: np.ndarray
     mode: ContactMode
+    swing: SwingState | None = None
 
 
 class Motion(Protocol):
-    """A reference for every task time."""
+    """A reference for every task time, and the contact switches ahead."""
 
     def reference(self, time_ns: int) -> Reference:
         """Reference at `time_ns` since the task began."""
+        ...
+
+    def next_switch(self, time_ns: int) -> tuple[int, ContactMode] | None:
+        """When the contact mode changes next after `time_ns`, and to which; None for never."""
         ...
 
 
@@ -54,3 +60,6 @@ class Standing:
 
     def reference(self, time_ns: int) -> Reference:
         return self._reference
+
+    def next_switch(self, time_ns: int) -> tuple[int, ContactMode] | None:
+        return None

@@ -22,7 +22,7 @@ class Kinematics:
 
     `q` (nq,), `v` (nv,); `h` (nv,) bias force of Eq. (1a) [N, N m]; `com`, `com_velocity`,
     `com_drift` (3,) in the world; `world_from_base` (3, 3); `sole_velocity`, `sole_drift` (6,) per
-    foot, linear then angular, in the sole frame.
+    foot, linear then angular, in the sole frame; `sole_placement` world from sole.
     """
 
     q: np.ndarray
@@ -34,6 +34,7 @@ class Kinematics:
     world_from_base: np.ndarray
     sole_velocity: dict[Foot, np.ndarray]
     sole_drift: dict[Foot, np.ndarray]
+    sole_placement: dict[Foot, pin.SE3]
 
 
 @dataclass(slots=True)
@@ -74,9 +75,10 @@ class WholeBodyModel:
         model, data = self.model, self.data
         h = pin.nonLinearEffects(model, data, q, v).copy()
         pin.centerOfMass(model, data, q, v, self._no_acceleration, False)
-        sole_velocity, sole_drift = {}, {}
+        sole_velocity, sole_drift, sole_placement = {}, {}, {}
         for foot, frame in self._soles.items():
             sole_velocity[foot] = pin.getFrameVelocity(model, data, frame, pin.LOCAL).vector
+            sole_placement[foot] = data.oMi[self._sole_joints[foot]] * self._sole_placements[foot]
             sole_drift[foot] = pin.getFrameAcceleration(model, data, frame, pin.LOCAL).vector
         return Kinematics(
             q=q,
@@ -88,6 +90,7 @@ class WholeBodyModel:
             world_from_base=data.oMi[1].rotation.copy(),
             sole_velocity=sole_velocity,
             sole_drift=sole_drift,
+            sole_placement=sole_placement,
         )
 
     def jacobians(self, q: np.ndarray) -> Jacobians:

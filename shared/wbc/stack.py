@@ -3,7 +3,8 @@
 The robot asks it for `right_hand_side` (b: cheap, every millisecond); the edge also for `matrices`
 (A: Jacobians). The rows of b that carry feedback are named in one `RowLayout`:
 
-    dynamics 6 | contacts 6 per loaded foot | com 3 | base_orientation 3 | posture | bounds 1
+    dynamics 6 | contacts 6 per loaded foot | com 3 | base_orientation 3 | posture | swing_foot 6
+    (single support) | bounds 1
 
 Force regularisation targets zero and needs no row. The bounds of active inequality rows are
 constant, so `bounds` is a single entry, always 1: a projector's last column holds their effect.
@@ -22,7 +23,7 @@ from shared.motion.reference import Reference
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactGeometry, ContactMode, contact_geometry
 from shared.wbc.model import Jacobians, Kinematics
-from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, Task
+from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, SwingFootTask, Task
 
 N_DYNAMICS = 6
 ROWS_PER_CONTACT = 6
@@ -92,6 +93,11 @@ class Stack:
             ComTask(weight=weights.com, kp=gains.com),
             BaseOrientationTask(weight=weights.base_orientation, kp=gains.base_orientation, nv=nv),
             PostureTask(weight=weights.posture, kp=gains.posture, nv=nv),
+            *(
+                SwingFootTask(weight=weights.swing_foot, kp=gains.swing_foot, foot=foot)
+                for foot in Foot
+                if foot not in mode.feet
+            ),
         )
         self.layout = RowLayout(
             mode=mode,

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from shared.motion.reference import Reference
+from shared.robots import Foot
 from shared.wbc.model import Jacobians, Kinematics
 
 
@@ -95,3 +96,42 @@ class PostureTask:
     def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
         kd = 2.0 * math.sqrt(self.kp)
         return self.kp * (reference.posture - kinematics.q[7:]) - kd * kinematics.v[6:]
+
+
+class SwingFootTask:
+    """Pose of the swing foot, in its sole frame: position [m], then orientation [rad]."""
+
+    name = "swing_foot"
+    size = 6
+
+    def __init__(self, *, weight: float, kp: float, foot: Foot) -> None:
+        self.weight = weight
+        self.kp = kp
+        self.foot = foot
+
+    def jacobian(self, jacobians: Jacobians) -> np.ndarray:
+        return jacobians.J_sole[self.foot]
+
+    def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
+        swing = reference.swing
+        if swing is None:  # the plan has this foot on the ground: keep it where it is
+            return -kinematics.sole_drift[self.foot]
+        kd = 2.0 * math.sqrt(self.kp)
+        placement = kinematics.sole_placement[self.foot]
+        R = placement.rotation
+        v, omega = np.split(kinematics.sole_velocity[self.foot], 2)
+        reference_rotation = pin.utils.rotate("z", swing.yaw)
+        linear = R.T @ (
+            swing.acceleration
+            + self.kp * (swing.position - placement.translation)
+            + kd * swing.velocity
+        )
+        # The rows hold spatial accelerations: a point's acceleration less ω × v.
+        linear -= kd * v + np.cross(omega, v)
+        upright = R.T[:, 2]
+        angular = (
+            self.kp * pin.log3(R.T @ reference_rotation)
+            + kd * (swing.yaw_rate * upright - omega)
+            + swing.yaw_acceleration * upright
+        )
+        return np.concatenate([linear, angular]) - kinematics.sole_drift[self.foot]

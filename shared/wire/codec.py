@@ -19,8 +19,9 @@ from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import Projector
 from shared.wbc.stack import RowLayout, Stack
+from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
-from shared.wire.messages import ProjectorMessage, RobotState, TimedProjector
+from shared.wire.messages import ProjectorMessage, RobotState
 
 SCHEMA_VERSION = 1
 _STATE, _PROJECTOR = "state", "projector"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.wbc.contacts import ContactMode
-from shared.wbc.projector import Projector
+from shared.wbc.whole_body import TimedProjector
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,15 +26,6 @@ class RobotState:
     mode: ContactMode
     q: np.ndarray
     v: np.ndarray
-
-
-@dataclass(frozen=True, slots=True)
-class TimedProjector:
-    """A projector with the task times between which it may be used [ns]."""
-
-    projector: Projector
-    valid_from_ns: int
-    valid_until_ns: int
 
 
 @dataclass(frozen=True, slots=True)

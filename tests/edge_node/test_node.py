@@ -53,10 +53,10 @@ def test_an_answer_holds_the_projector_of_the_mode_of_its_state(edge, codec, sta
     assert [timed.projector.mode for timed in message.projectors] == [mode]
 
 
-def test_an_answer_may_be_used_at_any_time(edge, codec, state):
+def test_an_answer_of_a_standing_robot_may_be_used_from_its_state_on(edge, codec, state):
     edge.receive(state())
     (timed,) = codec.decode_projector(edge.step().data).projectors
-    assert timed.valid_from_ns <= 0
+    assert timed.valid_from_ns == codec.decode_state(state()).time_ns
     assert timed.valid_until_ns > 10**15
 
 

@@ -47,7 +47,12 @@ def test_without_delay_both_controllers_are_the_same_controller(play):
     runs = [play(**SHORT, **network, controller=name) for name in CONTROLLERS]
     assert log_hash(runs[0]) == log_hash(runs[1])
     for run in runs:
-        assert run.summary["commands"] == {"fresh": 600, "cached": 0, "held": 0}
+        assert run.summary["commands"] == {
+            "fresh": 600,
+            "cached": 0,
+            "held": 0,
+            "on_board": 0,
+        }
 
 
 def test_with_delay_they_are_not(play):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_node.cache import ProjectorCache
+from robot_node.cache import CacheEntry, ProjectorCache
 from shared.wbc.contacts import ContactMode
 from shared.wire.codec import Codec
 from shared.wire.messages import TimedProjector
@@ -37,7 +37,7 @@ def answer(codec, stacks, rng):
 
 def held(cache, mode=DOUBLE):
     entry = cache.lookup(mode, time_ns=0)
-    return None if entry is None else entry.message.sequence
+    return None if entry is None else entry.sequence
 
 
 def test_an_empty_cache_has_nothing_for_any_mode(cache):
@@ -107,7 +107,7 @@ def test_one_answer_may_bring_projectors_of_several_modes(cache, answer, stacks,
 
 
 @pytest.mark.parametrize(
-    ("time_ns", "usable"), [(99, False), (100, True), (150, True), (200, True), (201, False)]
+    ("time_ns", "usable"), [(99, False), (100, True), (150, True), (199, True), (200, False)]
 )
 def test_a_projector_is_used_within_its_time_only(cache, answer, stacks, rng, time_ns, usable):
     timed = TimedProjector(make_projector(stacks[DOUBLE], rng), 100, 200)
@@ -122,5 +122,28 @@ def test_the_cached_numbers_are_those_of_the_message(cache, codec, stacks, rng):
     np.testing.assert_array_equal(
         entry.projector.A_dagger, message.projectors[0].projector.A_dagger.astype(np.float32)
     )
-    np.testing.assert_array_equal(entry.message.tau, message.tau)
-    assert entry.message.stamp_ns == message.stamp_ns
+    np.testing.assert_array_equal(entry.tau, message.tau)
+    np.testing.assert_array_equal(entry.y, message.y)
+    assert entry.stamp_ns == message.stamp_ns
+    assert cache.newest_solution is entry
+
+
+def test_a_projector_of_another_mode_has_no_solution_of_its_own(cache, answer, stacks, rng):
+    timed = tuple(
+        TimedProjector(make_projector(stacks[mode], rng), 0, FOR_EVER_NS) for mode in ContactMode
+    )
+    cache.offer(answer(3, projectors=timed), newest_sent=10)
+    prepared = cache.lookup(ContactMode.LEFT_SUPPORT, time_ns=0)
+    assert prepared.tau is None
+    assert prepared.y is None
+    assert cache.newest_solution.projector.mode is DOUBLE
+
+
+@pytest.mark.parametrize(("sequence", "wins"), [(2, False), (3, False), (4, True)])
+def test_what_was_solved_on_board_replaces_older_answers_only(
+    cache, answer, stacks, rng, sequence, wins
+):
+    cache.offer(answer(3), newest_sent=10)
+    timed = TimedProjector(make_projector(stacks[DOUBLE], rng), 0, FOR_EVER_NS)
+    cache.keep(CacheEntry(timed, sequence, 0, on_board=True))
+    assert cache.lookup(DOUBLE, time_ns=0).on_board is wins

@@ -273,7 +273,7 @@ def test_a_projector_outside_its_time_is_not_used(bench):
 
     played.run(1, deliver=played.doctored(expiring)).run(4, deliver=nothing)
     sources = [command.source.name for command in played.commands]
-    assert sources == ["FRESH", "CACHED", "CACHED", "HELD", "HELD"]
+    assert sources == ["FRESH", "CACHED", "HELD", "HELD", "HELD"]
 
 
 def test_a_push_acts_from_its_start_for_its_duration(bench):

@@ -16,8 +16,8 @@ ROUNDING = 1e-11
 
 SIZES = {
     ContactMode.DOUBLE_SUPPORT: (56, 61),
-    ContactMode.LEFT_SUPPORT: (50, 49),
-    ContactMode.RIGHT_SUPPORT: (50, 49),
+    ContactMode.LEFT_SUPPORT: (56, 49),
+    ContactMode.RIGHT_SUPPORT: (56, 49),
 }
 
 
@@ -49,7 +49,7 @@ def test_blocks_follow_each_other_and_cover_every_row_once(stack):
 def test_equality_and_task_rows_are_the_blocks_they_name(stack):
     layout = stack.layout
     assert stack.equality_rows == slice(0, layout.slice("contacts").stop)
-    assert stack.task_rows == slice(layout.slice("com").start, layout.slice("posture").stop)
+    assert stack.task_rows == slice(layout.slice("com").start, layout.slice("bounds").start)
 
 
 def test_an_unknown_block_is_a_key_error(stack):

@@ -1,0 +1,120 @@
+"""CoM trajectory of a walk from the linear inverted pendulum at constant height.
+
+With the CoM at height z the pendulum obeys c̈ = ω² (c − p), ω² = g/z, p the ZMP. A plan is a
+sequence of segments on which the ZMP moves linearly; on each the motion has a closed form,
+
+    c(t) = p(t) + A e^{ωt} + B e^{−ωt}.
+
+`dcm_plan` places the ZMP under the support foot and in between during double support, and finds the
+one motion that does not diverge by running the capture point ξ = c + ċ/ω backwards from rest
+(Englsberger, Ott & Albu-Schäffer 2015).
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class ZmpSegment:
+    """ZMP moving linearly from `start` to `end` (2,) [m] between two times [s]."""
+
+    begin: float
+    finish: float
+    start: np.ndarray
+    end: np.ndarray
+
+
+@dataclass(frozen=True)
+class ComState:
+    """CoM in the horizontal plane: position, velocity, acceleration (2,), and the ZMP (2,)."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    zmp: np.ndarray
+
+
+class ComPlan:
+    """Pendulum motion over ZMP segments; at rest before the first and after the last."""
+
+    def __init__(
+        self,
+        segments: Sequence[ZmpSegment],
+        *,
+        omega: float,
+        position: np.ndarray,
+        velocity: np.ndarray,
+    ) -> None:
+        self.segments = tuple(segments)
+        self.omega = omega
+        self._begins = [segment.begin for segment in segments]
+        self._coefficients = []
+        c, v = position, velocity
+        for segment in segments:
+            duration = segment.finish - segment.begin
+            slope = (segment.end - segment.start) / duration
+            growing = (c - segment.start + (v - slope) / omega) / 2
+            decaying = (c - segment.start - (v - slope) / omega) / 2
+            self._coefficients.append((slope, growing, decaying))
+            up, down = math.exp(omega * duration), math.exp(-omega * duration)
+            c = segment.end + growing * up + decaying * down
+            v = slope + omega * (growing * up - decaying * down)
+        self._rest = c
+
+    @property
+    def duration(self) -> float:
+        """End of the last segment [s]."""
+        return self.segments[-1].finish
+
+    def state(self, time: float) -> ComState:
+        """CoM and ZMP at `time` [s]."""
+        if time >= self.duration:
+            zero = np.zeros(2)
+            return ComState(self._rest, zero, zero, self._rest)
+        k = max(0, bisect.bisect_right(self._begins, time) - 1)
+        segment = self.segments[k]
+        slope, growing, decaying = self._coefficients[k]
+        t = max(0.0, time - segment.begin)
+        up, down = growing * math.exp(self.omega * t), decaying * math.exp(-self.omega * t)
+        zmp = segment.start + slope * t
+        return ComState(
+            position=zmp + up + down,
+            velocity=slope + self.omega * (up - down),
+            acceleration=self.omega**2 * (up + down),
+            zmp=zmp,
+        )
+
+
+def dcm_plan(segments: Sequence[ZmpSegment], *, omega: float, position: np.ndarray) -> ComPlan:
+    """The bounded pendulum motion that starts at rest at `position` and ends at rest.
+
+    The first segment's ZMP start is free and chosen so that the motion begins at rest.
+    """
+    # Capture point at the beginning of each segment, backwards from rest at the end.
+    xi = segments[-1].end
+    for segment in reversed(segments[1:]):
+        xi = _xi_before(segment, xi, omega)
+    first = segments[0]
+    duration = first.finish - first.begin
+    # ξ(0) = position fixes the start p₀ of a linear ZMP: ξ(0) = p₀ κ + rest, by linearity.
+    at_zero = _xi_before(ZmpSegment(first.begin, first.finish, np.zeros(2), first.end), xi, omega)
+    slope = _xi_before(ZmpSegment(0.0, duration, np.ones(2), np.zeros(2)), np.zeros(2), omega)
+    start = (position - at_zero) / slope
+    whole = (ZmpSegment(first.begin, first.finish, start, first.end), *segments[1:])
+    return ComPlan(whole, omega=omega, position=position, velocity=np.zeros(2))
+
+
+def _xi_before(segment: ZmpSegment, xi_end: np.ndarray, omega: float) -> np.ndarray:
+    """Capture point at a segment's beginning from the one at its end."""
+    duration = segment.finish - segment.begin
+    slope = (segment.end - segment.start) / duration
+    offset_end = segment.end + slope / omega
+    return segment.start + slope / omega + (xi_end - offset_end) * math.exp(-omega * duration)

@@ -1,0 +1,135 @@
+"""Where the feet go: a sequence of footprints from a few numbers, checked before anything moves.
+
+The path advances by (length, sideways, turn) in its own frame with every step but the last, which
+brings the feet together again. The foot that leads is the one on the side the path goes to.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from shared.config import WalkConfig
+from shared.errors import ConfigError
+from shared.motion.footprint import Footprint
+from shared.robots import Foot, Robot
+from shared.robots.description import FootDescription
+from shared.wbc.model import WholeBodyModel
+
+# Soles that come closer than this side by side would touch [m].
+SOLE_CLEARANCE = 0.01
+# Part of the stretched leg that a step may use: the rest is needed to lift and land.
+REACH_MARGIN = 0.97
+MAX_TURN = math.radians(35.0)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step: the swing foot goes from one footprint to another beside the support foot."""
+
+    support: Footprint
+    start: Footprint
+    goal: Footprint
+
+    @property
+    def swing_foot(self) -> Foot:
+        return self.start.foot
+
+
+def standing_footprints(robot: Robot) -> dict[Foot, Footprint]:
+    """Where the soles are in the standing configuration."""
+    placements = WholeBodyModel(robot).sole_placements(robot.q_standing)
+    return {
+        foot: Footprint(foot, float(M.translation[0]), float(M.translation[1]), 0.0)
+        for foot, M in placements.items()
+    }
+
+
+def plan_footsteps(robot: Robot, config: WalkConfig) -> tuple[Step, ...]:
+    """The steps of a walk. `ConfigError` with the reason if it cannot be walked."""
+    if config.steps < 1:
+        raise ConfigError(f"walk.steps: expected at least 1, got {config.steps}")
+    feet = standing_footprints(robot)
+    left, right = feet[Foot.LEFT], feet[Foot.RIGHT]
+    width = config.step_width or left.y - right.y
+    x, y, yaw = (left.x + right.x) / 2, (left.y + right.y) / 2, 0.0
+    side = config.step_sideways if config.step_sideways else config.step_turn
+    swing = Foot.RIGHT if side < 0 else Foot.LEFT
+    steps = []
+    for k in range(config.steps):
+        if k < config.steps - 1 or config.steps == 1:
+            c, s = math.cos(yaw), math.sin(yaw)
+            x += c * config.step_length - s * config.step_sideways
+            y += s * config.step_length + c * config.step_sideways
+            yaw += config.step_turn
+        offset = width / 2 if swing is Foot.LEFT else -width / 2
+        goal = Footprint(swing, x - math.sin(yaw) * offset, y + math.cos(yaw) * offset, yaw)
+        support_foot = Foot.RIGHT if swing is Foot.LEFT else Foot.LEFT
+        step = Step(support=feet[support_foot], start=feet[swing], goal=goal)
+        _check(robot, step, number=k + 1)
+        steps.append(step)
+        feet[swing] = goal
+        swing = support_foot
+    return tuple(steps)
+
+
+def _check(robot: Robot, step: Step, *, number: int) -> None:
+    """A step that leaves the leg's reach, crosses the feet or turns too far is refused."""
+    support, goal = step.support, step.goal
+    dx, dy = goal.position - support.position
+    c, s = math.cos(support.yaw), math.sin(support.yaw)
+    forward, lateral = c * dx + s * dy, -s * dx + c * dy
+    if goal.foot is Foot.RIGHT:
+        lateral = -lateral
+    turn = abs(_wrapped(goal.yaw - support.yaw))
+    if turn > MAX_TURN:
+        raise ConfigError(
+            f"walk: step {number} turns the foot by {math.degrees(turn):.0f}° against the other; "
+            f"at most {math.degrees(MAX_TURN):.0f}° can be walked: use a smaller step_turn"
+        )
+    narrowest = _narrowest(robot, turn=turn) + SOLE_CLEARANCE
+    if lateral < narrowest:
+        raise ConfigError(
+            f"walk: step {number} puts the {goal.foot.value} foot {lateral:.3f} m to its side of "
+            f"the other; less than {narrowest:.3f} m and the feet would cross or touch: use a "
+            "larger step_width or a smaller step_sideways"
+        )
+    reach = leg_reach(robot)
+    # Hips sit above the stance's middle: half the step is each leg's share while both are down.
+    stance = standing_footprints(robot)
+    natural = stance[Foot.LEFT].y - stance[Foot.RIGHT].y
+    distance = math.hypot(forward, lateral - natural) / 2
+    if distance > reach:
+        raise ConfigError(
+            f"walk: step {number} goes {2 * distance:.2f} m from the support foot; the legs reach "
+            f"{2 * reach:.2f} m at this height: use a smaller step_length or step_sideways"
+        )
+
+
+def leg_reach(robot: Robot) -> float:
+    """How far a foot can be from below its hip with the hip at standing height [m]."""
+    model = robot.model
+    data = model.createData()
+    pin.forwardKinematics(model, data, robot.q_standing)
+    ankle = model.getJointId(robot.description.feet[0].joint)
+    chain = [joint for joint in model.supports[ankle] if joint > 1]
+    lengths = [np.linalg.norm(model.jointPlacements[joint].translation) for joint in chain[1:]]
+    stretched = float(sum(lengths)) * REACH_MARGIN
+    height = float(data.oMi[chain[0]].translation[2] - data.oMi[ankle].translation[2])
+    return math.sqrt(max(0.0, stretched**2 - height**2))
+
+
+def _narrowest(robot: Robot, *, turn: float) -> float:
+    """Least distance of the sole origins side by side at which turned soles stay apart [m]."""
+    feet: dict[Foot, FootDescription] = {foot.side: foot for foot in robot.description.feet}
+    left_inner = -feet[Foot.LEFT].sole_y[0]
+    right_inner = feet[Foot.RIGHT].sole_y[1]
+    length = max(abs(x) for x in feet[Foot.LEFT].sole_x)
+    return left_inner + right_inner * math.cos(turn) + length * math.sin(turn)
+
+
+def _wrapped(angle: float) -> float:
+    return math.atan2(math.sin(angle), math.cos(angle))

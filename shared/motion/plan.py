@@ -1,0 +1,15 @@
+"""The motion of a configured task."""
+
+from __future__ import annotations
+
+from shared.config import RunConfig
+from shared.motion.reference import Motion, Standing
+from shared.motion.walking import Walking
+from shared.robots import Robot
+
+
+def make_motion(robot: Robot, config: RunConfig) -> Motion:
+    """What both ends of the link derive the reference from; `ConfigError` if it cannot be done."""
+    if config.task == "walk":
+        return Walking(robot, config.walk)
+    return Standing(robot)

@@ -1,0 +1,140 @@
+"""A walk as a reference: footsteps, CoM plan, swing foot and contact modes put together.
+
+begin on both feet | single support, double support | … | end on both feet. Both ends of the link
+build it from the same configuration, whose digest every message carries.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from shared.config import WalkConfig
+from shared.motion.com_plan import GRAVITY, ComPlan, ZmpSegment, dcm_plan
+from shared.motion.footprint import Footprint
+from shared.motion.footsteps import Step, plan_footsteps
+from shared.motion.reference import Reference, Standing
+from shared.motion.swing import quintic, swing
+from shared.robots import Foot, Robot
+from shared.wbc.contacts import ContactMode
+
+# Time in which the ZMP goes from the last support foot to between the feet [s].
+_SETTLE = 0.4
+_SUPPORT_MODE = {Foot.LEFT: ContactMode.LEFT_SUPPORT, Foot.RIGHT: ContactMode.RIGHT_SUPPORT}
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A span of one contact mode; `step` is the step in the air, or the one just made."""
+
+    begin_ns: int
+    end_ns: int
+    mode: ContactMode
+    step: Step | None
+
+
+class Walking:
+    """Reference motion of a walk. `ConfigError` if the steps cannot be walked."""
+
+    def __init__(self, robot: Robot, config: WalkConfig) -> None:
+        self.steps = plan_footsteps(robot, config)
+        self._config = config
+        standing = Standing(robot).reference(0)
+        self._standing = standing
+        self._com_height = float(standing.com[2])
+        self._zmp_in_sole = {
+            foot.side: (sum(foot.sole_x) / 2, 0.0) for foot in robot.description.feet
+        }
+        self._base_in_standing = standing.world_from_base
+        self.phases = _phases(config, self.steps)
+        self._ends = [phase.end_ns for phase in self.phases]
+        self.com_plan = self._plan_com(robot, standing.com[:2])
+
+    def reference(self, time_ns: int) -> Reference:
+        """Reference at `time_ns` since the walk began; standing after its end."""
+        phase = self._phase(time_ns)
+        com = self.com_plan.state(time_ns * 1e-9)
+        swing_state, yaw = None, self._yaw_after(phase)
+        if phase.mode is not ContactMode.DOUBLE_SUPPORT and phase.step is not None:
+            elapsed = (time_ns - phase.begin_ns) * 1e-9
+            duration = (phase.end_ns - phase.begin_ns) * 1e-9
+            swing_state = swing(
+                phase.step.start,
+                phase.step.goal,
+                time=elapsed,
+                duration=duration,
+                height=self._config.swing_height,
+            )
+            before = (phase.step.start.yaw + phase.step.support.yaw) / 2
+            yaw = before + quintic(elapsed / duration)[0] * (yaw - before)
+        return Reference(
+            com=np.array([*com.position, self._com_height]),
+            com_velocity=np.array([*com.velocity, 0.0]),
+            com_acceleration=np.array([*com.acceleration, 0.0]),
+            world_from_base=pin.utils.rotate("z", yaw) @ self._base_in_standing,
+            posture=self._standing.posture,
+            mode=phase.mode,
+            swing=swing_state,
+        )
+
+    def next_switch(self, time_ns: int) -> tuple[int, ContactMode] | None:
+        k = bisect.bisect_right(self._ends, time_ns)
+        if k + 1 >= len(self.phases):
+            return None
+        return self.phases[k].end_ns, self.phases[k + 1].mode
+
+    def _phase(self, time_ns: int) -> Phase:
+        k = bisect.bisect_right(self._ends, max(0, time_ns))
+        return self.phases[min(k, len(self.phases) - 1)]
+
+    @staticmethod
+    def _yaw_after(phase: Phase) -> float:
+        if phase.step is None:
+            return 0.0
+        return (phase.step.goal.yaw + phase.step.support.yaw) / 2
+
+    def _plan_com(self, robot: Robot, start: np.ndarray) -> ComPlan:
+        """ZMP under the support foot, in between during double support, then between the feet."""
+        points = [self._zmp(step.support) for step in self.steps]
+        last = self.steps[-1]
+        centre = (self._zmp(last.support) + self._zmp(last.goal)) / 2
+        segments = []
+        supports = iter(points)
+        point = points[0]
+        for phase in self.phases:
+            begin, end = phase.begin_ns * 1e-9, phase.end_ns * 1e-9
+            if phase.step is None:
+                segments.append(ZmpSegment(begin, end, point, point))
+            elif phase.mode is not ContactMode.DOUBLE_SUPPORT:
+                point = next(supports)
+                segments.append(ZmpSegment(begin, end, point, point))
+            elif phase is self.phases[-1]:
+                segments.append(ZmpSegment(begin, begin + _SETTLE, point, centre))
+                segments.append(ZmpSegment(begin + _SETTLE, end, centre, centre))
+            else:
+                following = points[self.steps.index(phase.step) + 1]
+                segments.append(ZmpSegment(begin, end, point, following))
+        omega = math.sqrt(GRAVITY / self._com_height)
+        return dcm_plan(segments, omega=omega, position=start)
+
+    def _zmp(self, print_: Footprint) -> np.ndarray:
+        return print_.to_world(self._zmp_in_sole[print_.foot])
+
+
+def _phases(config: WalkConfig, steps: tuple[Step, ...]) -> tuple[Phase, ...]:
+    time_ns = round(config.begin_duration * 1e9)
+    phases = [Phase(0, time_ns, ContactMode.DOUBLE_SUPPORT, None)]
+    double_ns = round(config.double_support * 1e9)
+    single_ns = round(config.step_duration * 1e9) - double_ns
+    for step in steps:
+        landing_ns = time_ns + single_ns
+        phases.append(Phase(time_ns, landing_ns, _SUPPORT_MODE[step.support.foot], step))
+        time_ns = landing_ns + double_ns
+        phases.append(Phase(landing_ns, time_ns, ContactMode.DOUBLE_SUPPORT, step))
+    end_ns = time_ns + round(config.end_duration * 1e9)
+    phases[-1] = Phase(phases[-1].begin_ns, end_ns, ContactMode.DOUBLE_SUPPORT, steps[-1])
+    return tuple(phases)

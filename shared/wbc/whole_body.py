@@ -1,0 +1,68 @@
+"""The full controller at one state: terms, QP, projector. What the edge runs, and the robot's
+on-board computer around a contact switch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.config import WbcConfig
+from shared.motion.reference import Motion
+from shared.robots import Robot
+from shared.wbc.contacts import ContactMode
+from shared.wbc.model import WholeBodyModel
+from shared.wbc.projector import Projector, WholeBodySolution, solve
+from shared.wbc.qp import make_solver
+from shared.wbc.stack import Stack
+
+FOR_EVER_NS = 2**62
+
+
+@dataclass(frozen=True, slots=True)
+class TimedProjector:
+    """A projector with the task times between which it may be used [ns]."""
+
+    projector: Projector
+    valid_from_ns: int
+    valid_until_ns: int
+
+
+class WholeBodyController:
+    """Solves the whole-body QP of one robot and task, in any contact mode."""
+
+    def __init__(self, robot: Robot, config: WbcConfig, motion: Motion) -> None:
+        self.model = WholeBodyModel(robot)
+        self.stacks = {mode: Stack(robot, config, mode) for mode in ContactMode}
+        self._motion = motion
+        self._solver = make_solver(config.solver)
+
+    def solve(
+        self, q: np.ndarray, v: np.ndarray, *, time_ns: int, mode: ContactMode
+    ) -> tuple[WholeBodySolution, np.ndarray]:
+        """Solution at (q, v) for a contact mode and the reference of `time_ns`; and its b."""
+        stack = self.stacks[mode]
+        kinematics = self.model.kinematics(q, v)
+        b = stack.right_hand_side(kinematics, self._motion.reference(time_ns))
+        matrices = stack.matrices(self.model.jacobians(q))
+        return solve(stack, matrices, b, solver=self._solver), b
+
+    def timed(self, projector: Projector, *, from_ns: int) -> TimedProjector:
+        """Valid from a task time until the next contact switch after it."""
+        switch = self._motion.next_switch(from_ns)
+        return TimedProjector(projector, from_ns, FOR_EVER_NS if switch is None else switch[0])
+
+    def prepare(self, q: np.ndarray, v: np.ndarray, *, time_ns: int) -> TimedProjector | None:
+        """Projector of the next contact mode, imposed on the state before the switch, Sec. III-C.
+
+        None if no switch comes or the QP has no solution.
+        """
+        switch = self._motion.next_switch(time_ns)
+        if switch is None:
+            return None
+        switch_ns, mode = switch
+        solution, _ = self.solve(q, v, time_ns=switch_ns, mode=mode)
+        if solution.projector is None:
+            return None
+        return self.timed(solution.projector, from_ns=switch_ns)
