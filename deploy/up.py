@@ -33,6 +33,7 @@ from shared.cli import (
 )
 from shared.config import RunConfig, dump_config
 from shared.errors import ConfigError, LinkError
+from shared.motion.plan import make_motion
 from shared.report import summary, summary_in_words, versions
 from shared.robots import load_robot
 from shared.wire.channels import LINK_KEY, TICKS_KEY
@@ -51,7 +52,8 @@ def main() -> int:
     )
     arguments = parser.parse_args()
     config = config_from(arguments)
-    load_robot(config.robot.name)
+    # Whatever cannot be done is said before anything starts.
+    make_motion(load_robot(config.robot.name), config)
     if config.link.network != "direct":
         load_profile(config.link.network)
     out = _run_folder(arguments.out, config)

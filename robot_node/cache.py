@@ -78,10 +78,12 @@ class ProjectorCache:
         """Keep an entry unless one from a newer state is there: the faster answer wins."""
         mode = entry.projector.mode
         held = self._entries.get(mode)
-        # Of two from the same state the edge's wins.
-        least = -1 if held is None else held.sequence + entry.on_board
-        if entry.sequence >= least:
-            self._entries[mode] = entry
+        if held is not None:
+            # Of two from the same state the edge's wins.
+            same_state = entry.sequence == held.sequence
+            if entry.sequence < held.sequence or (same_state and entry.on_board):
+                return
+        self._entries[mode] = entry
 
     def lookup(self, mode: ContactMode, *, time_ns: int) -> CacheEntry | None:
         """The newest projector of a mode that may be used at a task time, or None."""

@@ -30,7 +30,6 @@ class Progress:
     time_ns: int = 0
     source: Source = Source.HELD
     age_ns: int = -1
-    overruns: int = 0
     running: bool = False
 
 
@@ -101,9 +100,7 @@ class LiveLoop:
                 # Overruns while waiting are nobody's; the count begins with the task.
                 task_began_ns, ticker.overruns = ticker.due_ns, 0
             ticker.next(now_ns)
-            self.progress = Progress(
-                node.time_ns, command.source, command.age_ns, ticker.overruns, node.running
-            )
+            self.progress = Progress(node.time_ns, command.source, command.age_ns, node.running)
         self.wall_seconds = (clock.now_ns() - task_began_ns) * 1e-9
 
     def _check_timeout(self, waited_ns: int) -> None:

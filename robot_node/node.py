@@ -74,7 +74,6 @@ class RobotNode:
         self.fallen = False
         self.time_ns = 0
         self.tick = 0
-        self._robot = robot
         self._config = config
         self._motion = motion
         self._pushes = [parse_push(push) for push in config.push]
@@ -84,9 +83,8 @@ class RobotNode:
         self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
         self._controller = make_controller(config.controller, self._model, self._stacks)
         self._session = new_session() if session is None else session
-        codec = Codec(robot, config)
-        self._codec = codec
-        self.cache = ProjectorCache(codec, session=self._session)
+        self._codec = Codec(robot, config)
+        self.cache = ProjectorCache(self._codec, session=self._session)
         self.on_board: OnBoardWindow | None = None
         if needs_on_board_computer(config, motion):
             if computer is None:
