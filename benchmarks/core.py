@@ -16,7 +16,8 @@ from benchmarks.timing import Timing, header, measure, table
 from edge_node.node import EdgeNode
 from experiments.lockstep import Lockstep
 from robot_node.node import RobotNode
-from shared.config import RunConfig, load_config
+from shared.config import RunConfig
+from shared.config_file import load_config
 from shared.motion.reference import Standing
 from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode

@@ -20,6 +20,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deploy.status import Status, Terminal
 from deploy.supervisor import Service, Supervisor
 from netem.profile import load_profile
@@ -31,11 +33,14 @@ from shared.cli import (
     config_from,
     run,
 )
-from shared.config import RunConfig, dump_config
+from shared.config import RunConfig
+from shared.config_file import dump_config
 from shared.errors import ConfigError, LinkError
+from shared.metrics import active_set_discrepancy, in_task, true_active_sets
 from shared.motion.plan import make_motion
 from shared.report import summary, summary_in_words, versions
 from shared.robots import load_robot
+from shared.telemetry import read_parquet
 from shared.wire.channels import LINK_KEY, TICKS_KEY
 
 _STATUS_SECONDS = 0.1
@@ -171,7 +176,13 @@ class _Stack:
         robot = parts["robot"]
         if robot is None:
             return code
-        result = summary(self._config, robot=robot, edge=parts["edge"], link=parts["link"])
+        result = summary(
+            self._config,
+            robot=robot,
+            edge=parts["edge"],
+            link=parts["link"],
+            discrepancy=self._discrepancy(),
+        )
         text = json.dumps(result, indent=2)
         (self._out / "summary.json").write_text(text + "\n", encoding="utf-8")
         for file in _PARTS.values():
@@ -188,6 +199,15 @@ class _Stack:
         except (OSError, ValueError):
             return None
         return part
+
+    def _discrepancy(self) -> np.ndarray:
+        """Rows by which each tick's active set differs from the one the edge found for it."""
+        files = [self._out / "telemetry.parquet", self._out / "edge.parquet"]
+        if not all(file.exists() for file in files):
+            return np.empty(0)
+        (schema, rows), (_, solve_rows) = (read_parquet(file) for file in files)
+        rows = in_task(schema, rows)
+        return active_set_discrepancy(schema, rows, true_active_sets(schema, rows, solve_rows))
 
     def _record(self) -> None:
         """The recording of a run nobody watched, made from its files."""

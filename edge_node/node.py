@@ -14,7 +14,7 @@ import numpy as np
 from shared.bus.base import RefusalCounter
 from shared.config import RunConfig
 from shared.errors import MessageRefused
-from shared.motion.reference import Motion
+from shared.motion.reference import Motion, coming_switches
 from shared.robots import Robot
 from shared.telemetry import SOLVE_SCHEMA
 from shared.wbc.projector import WholeBodySolution
@@ -43,8 +43,8 @@ class Answer:
         row[columns["solve_ns"]] = solve_ns
         row[columns["status"]] = _STATUS_INDEX[self.solution.status]
         row[columns["iterations"]] = self.solution.iterations
-        if self.solution.projector is not None:
-            row[columns["active_set_size"]] = len(self.solution.projector.active)
+        projector = self.solution.projector
+        row[columns["active_set"]] = -1 if projector is None else projector.active_set
 
 
 class EdgeNode:
@@ -54,7 +54,7 @@ class EdgeNode:
         self.refused = RefusalCounter()
         self.solved: Counter[str] = Counter()
         self._controller = WholeBodyController(robot, config.wbc, motion)
-        self._codec = Codec(robot, config)
+        self._codec = Codec(robot, config, motion)
         self._motion = motion
         self._switch = config.switch
         self._newest: RobotState | None = None
@@ -101,12 +101,13 @@ class EdgeNode:
         return Answer(state.sequence, solution, self._codec.encode_projector(message))
 
     def _prepared(self, state: RobotState) -> tuple[TimedProjector, ...]:
-        """The next contact mode's projector, shortly before the switch to it."""
-        switch = self._motion.next_switch(state.time_ns)
+        """Projectors of the coming contact modes, shortly before the switches to them."""
         config = self._switch
-        if not config.prepare_on_edge or switch is None:
+        if not config.prepare_on_edge:
             return ()
-        if switch[0] - state.time_ns > config.prepare_ns:
-            return ()
-        prepared = self._controller.prepare(state.q, state.v, time_ns=state.time_ns)
-        return () if prepared is None else (prepared,)
+        prepared = [
+            self._controller.projector_for(state.q, state.v, time_ns=switch_ns)
+            for switch_ns in coming_switches(self._motion, state.time_ns)
+            if switch_ns - state.time_ns <= config.prepare_ns
+        ]
+        return tuple(timed for timed in prepared if timed is not None)

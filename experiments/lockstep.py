@@ -29,6 +29,7 @@ from shared.bus.memory import MemoryBus
 from shared.clock import SimClock
 from shared.config import RunConfig
 from shared.errors import LinkError
+from shared.metrics import active_set_discrepancy, in_task, true_active_sets
 from shared.motion.plan import make_motion
 from shared.report import edge_report, link_report, robot_report, summary
 from shared.robots import load_robot
@@ -59,6 +60,9 @@ class Lockstep:
         motion = make_motion(robot, config)
         self.robot = RobotNode(robot, config, motion, session=1)
         self.edge = EdgeNode(robot, config, motion)
+        # States that the edge did not solve are solved after the trial, for the metrics only.
+        self._oracle = EdgeNode(robot, config, motion)
+        self._unanswered: dict[int, bytes] = {}
         self.ticks = RowLog(self.robot.schema)
         self.link = RowLog(LINK_SCHEMA)
         self.solves = RowLog(SOLVE_SCHEMA)
@@ -156,6 +160,7 @@ class Lockstep:
             return
         solve_ns = time.perf_counter_ns() - started
         answer.record(self.solves.row(), wall_ns=self.clock.now_ns(), solve_ns=solve_ns)
+        self._unanswered.pop(answer.state_sequence, None)
         self._edge_busy = True
 
         def finish() -> None:
@@ -171,6 +176,7 @@ class Lockstep:
         started = time.perf_counter_ns()
         data = self.robot.measure(now_ns)
         self._measure_cost_ns = time.perf_counter_ns() - started
+        self._unanswered[self.robot.tick] = data
         self._uplink.publish(data)
         loop = self.config.loop
         self.at(now_ns + loop.fresh_within_ns, _RANK_COMMAND, self._command)
@@ -211,10 +217,27 @@ class Lockstep:
         )
         passes = max((line.passes(self.clock.now_ns()) for line in self._lines), default=0)
         link = link_report(link_rows, profile=self._profile_name, passes=passes)
+        discrepancy = self._discrepancy(rows, solve_rows)
         return TrialResult(
-            summary=summary(self.config, robot=robot, edge=edge, link=link),
+            summary=summary(
+                self.config, robot=robot, edge=edge, link=link, discrepancy=discrepancy
+            ),
             schema=self.robot.schema,
             rows=rows,
             link_rows=link_rows,
             solve_rows=solve_rows,
         )
+
+    def _discrepancy(self, rows: np.ndarray, solve_rows: np.ndarray) -> np.ndarray:
+        """Cardinality by which each tick's active set differs from its state's own, Table VI."""
+        missed = RowLog(SOLVE_SCHEMA)
+        for data in self._unanswered.values():
+            self._oracle.receive(data)
+            answer = self._oracle.step()
+            if answer is not None:
+                answer.record(missed.row(), wall_ns=0, solve_ns=0)
+        missed.close()
+        solved = np.concatenate([solve_rows, missed.rows()])
+        schema = self.robot.schema
+        rows = in_task(schema, rows)
+        return active_set_discrepancy(schema, rows, true_active_sets(schema, rows, solved))

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from experiments.lockstep import Lockstep, TrialResult
 from shared.cli import EXIT_FELL, EXIT_STANDING, add_run_arguments, config_from
-from shared.config import RunConfig, dump_config
+from shared.config import RunConfig
+from shared.config_file import dump_config
 from shared.errors import ConfigError
 from shared.report import summary_in_words, versions
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, write_parquet

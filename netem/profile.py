@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from shared.config import parse_duration_ns
 from shared.errors import ConfigError, ProfileError
+from shared.quantities import parse_duration_ns
 
 SHIPPED = Path(__file__).parent / "profiles"
 LOST = -1

@@ -15,16 +15,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_node.cache import ProjectorCache
+from robot_node.cache import CacheEntry, ProjectorCache
 from robot_node.controllers import Measurement, Source, make_controller
 from robot_node.onboard import ModelledComputer, OnBoardComputer, OnBoardWindow
 from robot_node.plant import Plant
 from robot_node.safety import JointHold, TorqueGuard, has_fallen
 from robot_node.sensors import Sensors
 from shared.bus.base import new_session
-from shared.config import RunConfig, parse_push
+from shared.config import RunConfig
 from shared.motion.reference import Motion, Reference
-from shared.robots import Robot
+from shared.quantities import parse_push
+from shared.robots import Foot, Robot
 from shared.telemetry import Schema, tick_schema
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import Kinematics, WholeBodyModel
@@ -38,14 +39,14 @@ from shared.wire.messages import RobotState
 class Command:
     """The torque of one tick (nv − 6,) [N m], clamped; the solution behind it, if there is one.
 
-    `age_ns` is the time since the state that the answer was computed from was measured.
+    `entry` is the cache's that it came from; `age_ns` the time since its state was measured.
     """
 
     tau: np.ndarray
     y: np.ndarray | None
     source: Source
     age_ns: int
-    active_set_size: int
+    entry: CacheEntry | None
 
 
 def needs_on_board_computer(config: RunConfig, motion: Motion) -> bool:
@@ -83,19 +84,21 @@ class RobotNode:
         self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
         self._controller = make_controller(config.controller, self._model, self._stacks)
         self._session = new_session() if session is None else session
-        self._codec = Codec(robot, config)
+        self._codec = Codec(robot, config, motion)
         self.cache = ProjectorCache(self._codec, session=self._session)
         self.on_board: OnBoardWindow | None = None
         if needs_on_board_computer(config, motion):
             if computer is None:
                 solver = WholeBodyController(robot, config.wbc, motion)
-                computer = ModelledComputer(solver, motion, compute_ns=config.switch.compute_ns)
+                ready_after_ns = config.switch.ready_after_ns(config.switch.compute_ns)
+                computer = ModelledComputer(solver, ready_after_ns=ready_after_ns)
             self.on_board = OnBoardWindow(config.switch, motion, computer)
         self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
         self._hold = JointHold(robot)
         self._hold_after_ns = config.loop.hold_after * 1e9
         self._standing_com_height = float(motion.reference(0).com[2])
         self._measured_ns = 0
+        self._set_down: dict[Foot, np.ndarray] = {}
         self._measurement: Measurement
         self._kinematics: Kinematics
         self._reference: Reference
@@ -143,7 +146,7 @@ class RobotNode:
         source = Source.FRESH if entry.sequence == self.tick else Source.CACHED
         if entry.on_board:
             source = Source.ON_BOARD
-        return Command(safe, y, source, age_ns, len(entry.projector.active))
+        return Command(safe, y, source, age_ns, entry)
 
     def advance(self, command: Command) -> None:
         """Move the plant by one period; before the first answer, only count the tick."""
@@ -160,7 +163,7 @@ class RobotNode:
         """Fill the telemetry row of this tick; between `command` and `advance`."""
         columns = self.schema.slices
         q, v = self._plant.state()
-        com = self._model.centre_of_mass(q)
+        com, soles = self._model.com_and_soles(q)
         row[columns["tick"]] = self.tick
         row[columns["time_ns"]] = self.time_ns if self.running or command.y is not None else -1
         row[columns["wall_ns"]] = self._measured_ns
@@ -174,13 +177,18 @@ class RobotNode:
         error = com - self._reference.com
         row[columns["com_error_m"]] = math.sqrt(error @ error)
         row[columns["contact_violation_m_s2"]] = np.nan
-        if command.y is not None:
-            f = command.y[self._model.nv :]
-            row[columns["f"].start : columns["f"].start + len(f)] = f
+        entry = command.entry
+        if command.y is not None and entry is not None:
+            forces = row[columns["f"]].reshape(len(Foot), -1)
+            loaded = list(entry.projector.mode.feet_indices)
+            forces[loaded] = command.y[self._model.nv :].reshape(len(loaded), -1)
             row[columns["contact_violation_m_s2"]] = self._contact_violation(command.y)
         row[columns["push_n"]] = self._push()
+        row[columns["foot_slip_m"]] = self._foot_slips(soles)
         row[columns["projector_age_ns"]] = command.age_ns
-        row[columns["active_set_size"]] = command.active_set_size
+        row[columns["projector_sequence"]] = -1 if entry is None else entry.sequence
+        row[columns["active_set"]] = -1 if entry is None else entry.projector.active_set
+        row[columns["on_board_qps"]] = 0 if self.on_board is None else self.on_board.solves
         row[columns["refused"]] = self.cache.refused.total_refused
         self.fallen = has_fallen(
             q, com_height=com[2], standing_com_height=self._standing_com_height
@@ -205,7 +213,7 @@ class RobotNode:
         tau = self._guard.accept(self._hold.torque(now.q, now.v))
         if tau is None:
             tau = np.zeros_like(self._guard.limit)
-        return Command(tau, None, Source.HELD, age_ns, 0)
+        return Command(tau, None, Source.HELD, age_ns, None)
 
     def _push(self) -> np.ndarray:
         force = np.zeros(3)
@@ -213,6 +221,19 @@ class RobotNode:
             if push.active(self.time_ns):
                 force += push.force
         return force
+
+    def _foot_slips(self, soles: dict[Foot, np.ndarray]) -> list[float]:
+        """Distance in the plane of each loaded sole from where it was set down, NaN in the air."""
+        loaded = self._reference.mode.feet
+        slips = []
+        for foot, position in soles.items():
+            if foot not in loaded:
+                self._set_down.pop(foot, None)
+                slips.append(math.nan)
+                continue
+            moved = position[:2] - self._set_down.setdefault(foot, position[:2])
+            slips.append(math.hypot(*moved))
+        return slips
 
     def _contact_violation(self, y: np.ndarray) -> float:
         now = self._measurement

@@ -2,7 +2,8 @@
 
 A process and not a thread: a QP is mostly Python and small matrices, which would hold the
 interpreter while the control loop needs it. It is started before the loop; jobs and answers go
-through a pipe. An answer comes no sooner than `compute_ns` after its job: a slow computer.
+through a pipe. It plays a slow computer: after a job it waits until the job's processor time, times
+`switch.compute_time_scale`, has passed.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
-from robot_node.onboard import solve_job
 from shared.config import RunConfig
 from shared.errors import LinkError
 from shared.wbc.whole_body import TimedProjector
@@ -34,10 +34,10 @@ class WorkerComputer:
             raise LinkError(f"the on-board computer did not start within {_START_SECONDS:g} s")
         self._pipe.recv()
 
-    def start(self, q: np.ndarray, v: np.ndarray, *, time_ns: int, prepare: bool) -> None:
-        self._pipe.send((q, v, time_ns, prepare))
+    def start(self, q: np.ndarray, v: np.ndarray, *, now_ns: int, for_ns: int) -> None:
+        self._pipe.send((q, v, for_ns))
 
-    def finished(self, time_ns: int) -> bool:
+    def finished(self, now_ns: int) -> bool:
         return self._pipe.poll()
 
     def take(self) -> TimedProjector | None:
@@ -58,6 +58,7 @@ def _serve(pipe: Connection, config: RunConfig) -> None:
     """The worker: answers jobs until the pipe closes."""
     import signal
 
+    from shared.clock import sleep_until
     from shared.motion.plan import make_motion
     from shared.robots import load_robot
     from shared.wbc.whole_body import WholeBodyController
@@ -69,10 +70,11 @@ def _serve(pipe: Connection, config: RunConfig) -> None:
     pipe.send("ready")
     try:
         while True:
-            q, v, time_ns, prepare = pipe.recv()
-            due = time.monotonic() + config.switch.compute_ns * 1e-9
-            solution = solve_job(controller, motion, q, v, time_ns=time_ns, prepare=prepare)
-            time.sleep(max(0.0, due - time.monotonic()))
+            q, v, for_ns = pipe.recv()
+            began_ns, used_ns = time.monotonic_ns(), time.thread_time_ns()
+            solution = controller.projector_for(q, v, time_ns=for_ns)
+            used_ns = time.thread_time_ns() - used_ns
+            sleep_until(began_ns + config.switch.ready_after_ns(used_ns))
             pipe.send(solution)
     except (EOFError, OSError):
         pass

@@ -8,8 +8,10 @@ import sys
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from shared.config import CONTROLLERS, TASKS, VIEWS, RunConfig, load_config
+from shared.config import COM_PLANS, CONTROLLERS, TASKS, VIEWS, RunConfig
+from shared.config_file import load_config
 from shared.errors import ConfigError, UserError
+from shared.quantities import parse_angle, parse_duration_ns
 
 EXIT_STANDING = 0
 EXIT_ERROR = 2
@@ -45,6 +47,21 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--noise", type=float, help="standard deviation of joint positions [rad]")
     group.add_argument("--loss", type=float, help="probability of losing a message, each way")
+    walk = parser.add_argument_group("the walk (with --task walk)")
+    walk.add_argument("--steps", type=int, help="how many; the last brings the feet together")
+    walk.add_argument("--step-length", type=float, help="[m], negative: backward")
+    walk.add_argument("--step-sideways", type=float, help="[m] per step, positive: to the left")
+    walk.add_argument("--step-turn", help="per step, 15deg or 0.26rad, positive: to the left")
+    walk.add_argument("--step-width", type=float, help="[m] between the soles; 0: as standing")
+    walk.add_argument("--step-duration", type=float, help="[s]")
+    walk.add_argument("--double-support", type=float, help="[s] of a step on both feet")
+    walk.add_argument("--swing-height", type=float, help="[m]")
+    walk.add_argument("--com-plan", help=f"one of {', '.join(COM_PLANS)}")
+    walk.add_argument(
+        "--on-board-delay",
+        metavar="25ms",
+        help="a full QP on board is ready that long after its state (Table III: as the link's)",
+    )
 
 
 def add_view_argument(parser: argparse.ArgumentParser) -> None:
@@ -62,21 +79,43 @@ _KEYS = {
     "loss": "link.loss",
     "noise": "sensors.joint_position_noise",
 }
+_WALK_KEYS = {
+    name: f"walk.{name}"
+    for name in (
+        "steps",
+        "step_length",
+        "step_sideways",
+        "step_turn",
+        "step_width",
+        "step_duration",
+        "double_support",
+        "swing_height",
+        "com_plan",
+    )
+}
 
 
 def config_from(arguments: argparse.Namespace) -> RunConfig:
     """The run that the arguments describe."""
     overrides: dict[str, Any] = {}
-    for name, key in _KEYS.items():
+    for name, key in (_KEYS | _WALK_KEYS).items():
         value = getattr(arguments, name, None)
         if value is not None:
-            overrides[key] = value
+            overrides[key] = parse_angle(value) if name == "step_turn" else value
+    delay = getattr(arguments, "on_board_delay", None)
+    if delay is not None:
+        overrides["switch.compute_ns"] = parse_duration_ns(delay)
+        overrides["switch.compute_time_scale"] = 1.0
     pushes = getattr(arguments, "push", None)
     if pushes is not None:
         if "none" in pushes and len(pushes) > 1:
             raise ConfigError(f"push: expected either none or pushes, got {' and '.join(pushes)}")
         overrides["push"] = [] if pushes == ["none"] else pushes
-    return load_config(arguments.config, overrides)
+    config = load_config(arguments.config, overrides)
+    walking = [key for key in overrides if key.startswith(("walk.", "switch."))]
+    if walking and config.task != "walk":
+        raise ConfigError(f"{walking[0]}: only a walk has it; add --task walk")
+    return config
 
 
 def run(main: Callable[[], int]) -> NoReturn:

@@ -1,34 +1,21 @@
-"""Every setting of the project as frozen dataclasses, read from TOML.
+"""Every setting of the project as frozen dataclasses; `shared/config_file.py` reads them from TOML.
 
-Sections of a file are the fields below. An unknown key, a value of the wrong type or out of range
-is a `ConfigError` that names what is valid. Both ends of a link must agree on `task`, `robot` and
-`wbc`; their digest travels in every message.
+A value out of range is a `ConfigError` that says what was expected. Both ends of a link must agree
+on `task`, `robot`, `wbc` and `walk`; their digest travels in every message.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import math
-import re
-import sys
-import types
-import typing
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, TypeVar
-
-import tomli_w
 
 from shared.errors import ConfigError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:  # pragma: no cover
-    import tomli as tomllib
+from shared.quantities import parse_push
 
 TASKS = ("balance", "walk")
 CONTROLLERS = ("la", "pr")
+COM_PLANS = ("dcm", "mpc")
 VIEWS = ("auto", "native", "web", "off")
 
 
@@ -133,7 +120,8 @@ class WalkConfig:
 
     `step_width` [m] is the distance of the soles side by side, 0 for that of standing. A step takes
     `step_duration` [s], of which `double_support` on both feet; the paper has 5 ms. The walk begins
-    and ends on both feet for `begin_duration` and `end_duration` [s].
+    and ends on both feet for `begin_duration` and `end_duration` [s]. `com_plan` is how the CoM
+    trajectory is made: `dcm` in closed form, `mpc` by model predictive control.
     """
 
     steps: int = 6
@@ -146,6 +134,7 @@ class WalkConfig:
     swing_height: float = 0.05
     begin_duration: float = 1.0
     end_duration: float = 2.0
+    com_plan: str = "dcm"
 
     @property
     def duration(self) -> float:
@@ -160,9 +149,10 @@ class SwitchConfig:
     `prepare_on_edge`, `prepare_on_board`: the solution of the next contact mode is computed from a
     state `prepare_ns` before the switch, by the edge for the states it gets and once on the robot.
     `solve_on_board`: in a window of `window_ns` centred on the switch the robot solves the full QP
-    itself every `period_ns`. A solution on board is ready `compute_ns` after its state, which
-    stands for a slow computer: the paper's takes at most 2.4 ms at 1.2 GHz. A preparation that
-    takes longer than `prepare_ns` begins earlier, to be ready in time.
+    itself every `period_ns`. The on-board computer is a slow one: what takes a fast core
+    `compute_ns` is ready after `compute_time_scale` times as long. The scale is the paper's
+    3.7 GHz / 1.2 GHz, and the product its worst case, 2.4 ms (Table V). A preparation that takes
+    longer than `prepare_ns` begins earlier, to be ready in time.
     """
 
     prepare_on_edge: bool = True
@@ -171,7 +161,15 @@ class SwitchConfig:
     prepare_ns: int = 10_000_000
     window_ns: int = 100_000_000
     period_ns: int = 5_000_000
-    compute_ns: int = 2_400_000
+    compute_ns: int = 780_000
+    compute_time_scale: float = 3.08
+
+    def ready_after_ns(self, solve_ns: int) -> int:
+        """How long the on-board computer takes for what takes a fast core `solve_ns`.
+
+        No less than for the configured `compute_ns`.
+        """
+        return round(max(solve_ns, self.compute_ns) * self.compute_time_scale)
 
 
 @dataclass(frozen=True)
@@ -198,6 +196,7 @@ class RunConfig:
         _one_of("task", self.task, TASKS)
         _one_of("controller", self.controller, CONTROLLERS)
         _one_of("view", self.view, VIEWS)
+        _one_of("walk.com_plan", self.walk.com_plan, COM_PLANS)
         _one_of("wire.projector_dtype", self.wire.projector_dtype, ("float32", "float64"))
         gains, weights = self.wbc.gains, self.wbc.weights
         for name, value, low in (
@@ -220,6 +219,7 @@ class RunConfig:
             ("switch.window_ns", self.switch.window_ns, 0),
             ("switch.period_ns", self.switch.period_ns, 1_000_000),
             ("switch.compute_ns", self.switch.compute_ns, 0),
+            ("switch.compute_time_scale", self.switch.compute_time_scale, 0.0),
             ("plant.friction", self.plant.friction, 1e-3),
             ("loop.connect_timeout", self.loop.connect_timeout, 0.0),
             ("loop.hold_after", self.loop.hold_after, 0.0),
@@ -248,152 +248,6 @@ class RunConfig:
         """Eight bytes of what both ends must agree on."""
         agreed = repr((self.task, self.robot, self.wbc, self.walk))
         return hashlib.sha256(agreed.encode()).digest()[:8]
-
-
-@dataclass(frozen=True)
-class Push:
-    """A force on the base [N], world frame, from `start_ns` for `duration_ns`."""
-
-    force: tuple[float, float, float]
-    start_ns: int
-    duration_ns: int
-
-    def active(self, time_ns: int) -> bool:
-        """Whether it acts at `time_ns` of the task."""
-        return self.start_ns <= time_ns < self.start_ns + self.duration_ns
-
-
-_UNITS_NS = {"us": 1e3, "ms": 1e6, "s": 1e9}
-# Times, and forces, beyond this are slips of the pen; they also stay well inside 64 bits of ns.
-_MAX_SECONDS = 1e6
-_PUSH = re.compile(
-    r"(?P<force>[0-9.]+)N@(?P<start>[0-9.]+)s:(?P<duration>[0-9.]+)s:(?P<sign>[+-])(?P<axis>[xyz])"
-)
-
-
-def parse_push(text: str) -> Push:
-    """`100N@1.0s:0.2s:+y` → 100 N along +y of the world from 1.0 s for 0.2 s."""
-    match = _PUSH.fullmatch(text.strip())
-    try:
-        if match is None:
-            raise ValueError
-        size, start = float(match["force"]), float(match["start"])
-        duration = float(match["duration"])
-        if not max(size, start, duration) <= _MAX_SECONDS:
-            raise ValueError
-    except ValueError:
-        raise ConfigError(
-            f"push: expected FORCE@START:DURATION:DIRECTION as in 100N@1.0s:0.2s:+y "
-            f"(direction ±x, ±y or ±z), or none, got {text!r}"
-        ) from None
-    force = [0.0, 0.0, 0.0]
-    force["xyz".index(match["axis"])] = size if match["sign"] == "+" else -size
-    return Push((force[0], force[1], force[2]), round(start * 1e9), round(duration * 1e9))
-
-
-def parse_duration_ns(text: str) -> int:
-    """`30ms`, `1.5s` or `800us` → nanoseconds."""
-    match = re.fullmatch(r"([0-9]*\.?[0-9]+)(us|ms|s)", text.strip())
-    nanoseconds = float("inf") if match is None else float(match[1]) * _UNITS_NS[match[2]]
-    if not nanoseconds <= _MAX_SECONDS * 1e9:
-        raise ConfigError(f"expected a duration as in 30ms, 1.5s or 800us, got {text!r}")
-    return round(nanoseconds)
-
-
-def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None) -> RunConfig:
-    """A `RunConfig` from a TOML file (None: defaults), with dotted-key overrides on top.
-
-    Keys under `[versions]`, which a run writes into its own copy, are ignored.
-    """
-    table: dict[str, Any] = {}
-    if path is not None:
-        try:
-            table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ConfigError(f"config: cannot read {path}: {error.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ConfigError(f"config: {path} is not valid TOML: {error}") from None
-        table.pop("versions", None)
-    for key, value in (overrides or {}).items():
-        _set_dotted(table, key, value)
-    preset = _PRESETS.get(table.get("task", RunConfig.task), {})
-    config = _build(RunConfig, _merged(preset, table), where="")
-    if config.task == "walk" and "duration" not in table:
-        config = dataclasses.replace(config, duration=config.walk.duration)
-    return config
-
-
-# What a task changes of the defaults; a file and flags come on top.
-_PRESETS: dict[str, dict[str, Any]] = {
-    "walk": {
-        "push": [],
-        "sensors": {"joint_position_noise": 1e-3},
-        "wbc": {
-            "gains": {
-                "com": 20.0,
-                "base_orientation": 60.0,
-                "posture": 30.0,
-                "contact_damping": 30.0,
-            },
-            "weights": {"base_orientation": 1.0},
-        },
-        "wire": {"projector_dtype": "float32"},
-    }
-}
-
-
-def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(below)
-    for key, value in above.items():
-        under = merged.get(key)
-        both = isinstance(value, dict) and isinstance(under, dict)
-        merged[key] = _merged(below[key], value) if both else value
-    return merged
-
-
-def dump_config(config: RunConfig, *, versions: dict[str, str]) -> str:
-    """The configuration as TOML that `load_config` reads back to an equal value."""
-    return tomli_w.dumps({**dataclasses.asdict(config), "versions": versions})
-
-
-def _set_dotted(table: dict[str, Any], key: str, value: Any) -> None:
-    *sections, name = key.split(".")
-    for section in sections:
-        table = table.setdefault(section, {})
-        if not isinstance(table, dict):
-            raise ConfigError(f"{section}: expected a table of settings, got {table!r}")
-    table[name] = value
-
-
-_T = TypeVar("_T")
-
-
-def _build(cls: type[_T], table: Any, *, where: str) -> _T:
-    if not isinstance(table, dict):
-        raise ConfigError(f"{where}: expected a table of settings, got {table!r}")
-    hints = typing.get_type_hints(cls)
-    names = [f.name for f in dataclasses.fields(cls)]  # type: ignore[arg-type]
-    values = {}
-    for key, value in table.items():
-        dotted = f"{where}.{key}" if where else key
-        if key not in names:
-            raise ConfigError(f"{dotted}: unknown setting; valid here: {', '.join(names)}")
-        values[key] = _convert(hints[key], value, where=dotted)
-    return cls(**values)
-
-
-def _convert(hint: Any, value: Any, *, where: str) -> Any:
-    if dataclasses.is_dataclass(hint):
-        return _build(typing.cast(type, hint), value, where=where)
-    if isinstance(hint, types.GenericAlias):  # tuple[str, ...]
-        if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
-            raise ConfigError(f"{where}: expected a list of strings, got {value!r}")
-        return tuple(value)
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
-        raise ConfigError(f"{where}: expected {hint.__name__}, got {value!r}")
-    return value
 
 
 def _one_of(name: str, value: str, valid: tuple[str, ...]) -> None:

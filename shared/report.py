@@ -1,12 +1,7 @@
-"""What a run came to: each process's part from its own rows, and the summary made of them.
-
-Metrics follow the paper's Sec. IV-C: mean distance of the CoM from its reference, and mean
-violation of the rigid contact of the support foot by the commanded accelerations.
-"""
+"""What a run came to: each process's part from its own rows, and the summary made of them."""
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import platform
 from typing import Any
@@ -14,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from shared.config import RunConfig
-from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema, row_chunks
+from shared.metrics import (
+    in_task,
+    log_hash,
+    mean,
+    quantiles,
+    stance_slips,
+    switch_to_fresh_ms,
+)
+from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema
 
 DIRECTIONS = ("uplink", "downlink")
 SOURCES = ("fresh", "cached", "held", "on_board")
@@ -30,7 +33,6 @@ _PACKAGES = (
     "mujoco",
     "rerun-sdk",
 )
-_HASHED_COLUMNS = ("time_ns", "source", "q", "v", "tau")
 
 
 def versions() -> dict[str, str]:
@@ -38,28 +40,6 @@ def versions() -> dict[str, str]:
     found = {"python": platform.python_version(), "platform": platform.platform()}
     found.update({name: importlib.metadata.version(name) for name in _PACKAGES})
     return found
-
-
-def quantiles(values: np.ndarray, *, digits: int = 4) -> dict[str, float | None]:
-    """p50, p99 and max of the finite values; None where there are none."""
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return {"p50": None, "p99": None, "max": None}
-    p50, p99 = np.percentile(finite, [50, 99])
-    return {
-        "p50": round(float(p50), digits),
-        "p99": round(float(p99), digits),
-        "max": round(float(finite.max()), digits),
-    }
-
-
-def log_hash(schema: Schema, rows: np.ndarray) -> str:
-    """SHA-256 over what the robot did: time, source, state and torque of every tick of the task."""
-    digest = hashlib.sha256()
-    for chunk in row_chunks(rows):
-        for name in _HASHED_COLUMNS:
-            digest.update(chunk[:, schema.slices[name]].tobytes())
-    return digest.hexdigest()
 
 
 def robot_report(
@@ -74,8 +54,7 @@ def robot_report(
     refused: dict[str, int],
 ) -> dict[str, Any]:
     """The robot's part, from its tick rows; rows before the task began are left out."""
-    in_task = schema.column(rows, "time_ns") >= 0
-    rows = rows[int(np.argmax(in_task)) :] if in_task.any() else rows[:0]
+    rows = in_task(schema, rows)
 
     def column(name: str) -> np.ndarray:
         return schema.column(rows, name)
@@ -83,12 +62,16 @@ def robot_report(
     source = column("source")
     age_ms = column("projector_age_ns") * 1e-6
     violation = column("contact_violation_m_s2")
+    waits = switch_to_fresh_ms(schema, rows)
     seconds = len(rows) * 1e-3
     return {
         "fell": fell,
         "task_seconds": round(seconds, 3),
-        "com_error_m": _mean(column("com_error_m")),
-        "contact_violation_m_s2": _mean(violation),
+        "com_error_m": mean(column("com_error_m")),
+        "contact_violation_m_s2": mean(violation),
+        "foot_slip_mm": quantiles(stance_slips(schema, rows) * 1e3),
+        "switch_to_fresh_ms": {**quantiles(waits), "never": int(np.isnan(waits).sum())},
+        "on_board_qps": int(column("on_board_qps")[-1]) if len(rows) else 0,
         "commands": {name: int(np.sum(source == k)) for k, name in enumerate(SOURCES)},
         "projector_age_ms": quantiles(age_ms[age_ms >= 0]),
         "robot_tick_ms": quantiles(column("tick_ns") * 1e-6),
@@ -159,8 +142,12 @@ def summary(
     robot: dict[str, Any],
     edge: dict[str, Any] | None,
     link: dict[str, Any] | None,
+    discrepancy: np.ndarray,
 ) -> dict[str, Any]:
-    """The summary of a run, with every key there even where a part is missing."""
+    """The summary of a run, with every key there even where a part is missing.
+
+    `discrepancy` of the active set, per tick, as `active_set_discrepancy` gives it.
+    """
     unknown = {"sent": None, "received": None, "lost": None, "refused": None}
     skeleton = {
         "task": config.task,
@@ -168,6 +155,7 @@ def summary(
         "network": config.link.network,
         "seed": config.seed,
         "edge_solve_ms": quantiles(np.empty(0)),
+        "active_set_discrepancy": {"mean": mean(discrepancy), **quantiles(discrepancy)},
         "link": {
             name: {**unknown, "delay_error_ms": quantiles(np.empty(0))} for name in DIRECTIONS
         },
@@ -177,7 +165,6 @@ def summary(
 
 def summary_in_words(summary: dict[str, Any]) -> str:
     """What happened, for a person."""
-
     age, tick, solve = (
         summary[key] for key in ("projector_age_ms", "robot_tick_ms", "edge_solve_ms")
     )
@@ -193,6 +180,19 @@ def summary_in_words(summary: dict[str, Any]) -> str:
         + f"; projector age p50 {_number(age['p50'], 'ms')}, p99 {_number(age['p99'], 'ms')}, "
         f"max {_number(age['max'], 'ms')}",
     ]
+    slip, wait = summary["foot_slip_mm"], summary["switch_to_fresh_ms"]
+    discrepancy = summary["active_set_discrepancy"]
+    lines.append(
+        f"  foot slip at most {_number(slip['max'], 'mm')} in a stance; active set differs in "
+        f"{_number(discrepancy['mean'], 'rows')} on average, at most "
+        f"{_number(discrepancy['max'], 'rows', digits=0)}"
+    )
+    if summary["task"] == "walk":
+        lines.append(
+            f"  contact switch to first fresh projector p50 {_number(wait['p50'], 'ms')}, max "
+            f"{_number(wait['max'], 'ms')}, not in time {wait['never']} ×; "
+            f"{summary['on_board_qps']} QPs solved on board"
+        )
     for name, way in summary["link"].items():
         refused = sum((way["refused"] or {}).values())
         error = way["delay_error_ms"]
@@ -211,8 +211,3 @@ def summary_in_words(summary: dict[str, Any]) -> str:
 
 def _number(value: float | None, unit: str, scale: float = 1.0, *, digits: int = 2) -> str:
     return "-" if value is None else f"{value * scale:.{digits}f} {unit}"
-
-
-def _mean(values: np.ndarray) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(f"{finite.mean():.6g}") if finite.size else None

@@ -50,6 +50,9 @@ class Schema:
 # One row per tick of the robot. Times in ns: `time_ns` of the task (negative while waiting for the
 # edge), `wall_ns` of the robot's clock. `source` is the index in `robot_node.controllers.Source`.
 # `q`, `v` true state, Pinocchio order; `f` commanded point forces, zero where unloaded [N].
+# `foot_slip_m` of the left and right foot since it was loaded, NaN in the air. `active_set` and
+# `projector_sequence` are those of the command's projector: its bit mask (`Projector.active_set`)
+# and the tick whose state it came from; −1 if none. `on_board_qps`: QPs begun on board so far.
 def tick_schema(*, nq: int, nv: int) -> Schema:
     """Schema of a robot's telemetry."""
     return Schema(
@@ -67,8 +70,11 @@ def tick_schema(*, nq: int, nv: int) -> Schema:
         Column("com_error_m"),
         Column("contact_violation_m_s2"),
         Column("push_n", 3),
+        Column("foot_slip_m", 2),
         Column("projector_age_ns", kind="int64"),
-        Column("active_set_size", kind="int64"),
+        Column("projector_sequence", kind="int64"),
+        Column("active_set", kind="int64"),
+        Column("on_board_qps", kind="int64"),
         Column("tick_ns", kind="int64"),
         Column("late_ns", kind="int64"),
         Column("overruns", kind="int64"),
@@ -86,14 +92,15 @@ LINK_SCHEMA = Schema(
     Column("achieved_ns", kind="int64"),
 )
 
-# One row per state the edge worked on. `status` is the index in `shared.wbc.qp.QpStatus`.
+# One row per state the edge worked on. `status` is the index in `shared.wbc.qp.QpStatus`;
+# `active_set` as `Projector.active_set`, −1 without a solution.
 SOLVE_SCHEMA = Schema(
     Column("wall_ns", kind="int64"),
     Column("state_sequence", kind="int64"),
     Column("solve_ns", kind="int64"),
     Column("status", kind="int8"),
     Column("iterations", kind="int64"),
-    Column("active_set_size", kind="int64"),
+    Column("active_set", kind="int64"),
 )
 
 

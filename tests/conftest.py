@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from shared.config import RunConfig, load_config
+from shared.config import RunConfig
+from shared.config_file import load_config
 from shared.motion.reference import Reference, Standing
 from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 from shared.cli import EXIT_STANDING, Parser, run
-from shared.config import load_config
+from shared.config_file import load_config
 from shared.service import StopSignal
 from viewer.display import VIEWS
 from viewer.live import watch

@@ -50,7 +50,7 @@ class PoseModel:
         pin.framesForwardKinematics(self._model, self._data, q)
         placements = np.array([pin.SE3ToXYZQUAT(self._data.oMi[joint]) for joint in self._joints])
         points, forces = [], []
-        for k, foot in enumerate(mode.feet):
+        for k, foot in zip(mode.feet_indices, mode.feet, strict=True):
             world_from_sole = self._data.oMf[self._soles[foot]]
             rotation = world_from_sole.rotation
             points.append(self._corners[foot] @ rotation.T + world_from_sole.translation)

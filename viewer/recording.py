@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from shared.config import load_config
+from shared.config_file import load_config
 from shared.errors import UserError
 from shared.robots import load_robot
 from shared.telemetry import Schema, read_parquet, row_chunks

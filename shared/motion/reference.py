@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -31,15 +32,29 @@ class Reference:
 
 
 class Motion(Protocol):
-    """A reference for every task time, and the contact switches ahead."""
+    """A reference for every task time, and the contact switches ahead.
+
+    `digest`: eight bytes that tell this motion from others, compared by the two ends of a link.
+    """
+
+    digest: bytes
 
     def reference(self, time_ns: int) -> Reference:
         """Reference at `time_ns` since the task began."""
         ...
 
-    def next_switch(self, time_ns: int) -> tuple[int, ContactMode] | None:
-        """When the contact mode changes next after `time_ns`, and to which; None for never."""
+    def next_switch(self, time_ns: int) -> int | None:
+        """When the contact mode changes next after `time_ns`; None for never."""
         ...
+
+
+def motion_digest(*parts: np.ndarray) -> bytes:
+    """Eight bytes of positions and times, to a tenth of a millimetre or of a millisecond.
+
+    Coarser than the rounding by which two machines may differ.
+    """
+    rounded = [np.round(np.asarray(part, dtype=float) * 1e4).astype(np.int64) for part in parts]
+    return hashlib.sha256(b"".join(part.tobytes() for part in rounded)).digest()[:8]
 
 
 class Standing:
@@ -49,6 +64,7 @@ class Standing:
         data = robot.model.createData()
         q = robot.q_standing
         com = pin.centerOfMass(robot.model, data, q).copy()
+        self.digest = motion_digest(com, q[7:])
         self._reference = Reference(
             com=com,
             com_velocity=np.zeros(3),
@@ -61,5 +77,17 @@ class Standing:
     def reference(self, time_ns: int) -> Reference:
         return self._reference
 
-    def next_switch(self, time_ns: int) -> tuple[int, ContactMode] | None:
+    def next_switch(self, time_ns: int) -> int | None:
         return None
+
+
+def coming_switches(motion: Motion, time_ns: int) -> list[int]:
+    """Times of the next two contact switches after `time_ns`, fewer if there are no more.
+
+    Two, because a double support can be shorter than what it takes to prepare for its end.
+    """
+    times: list[int] = []
+    while len(times) < 2 and (switch_ns := motion.next_switch(time_ns)) is not None:
+        times.append(switch_ns)
+        time_ns = switch_ns
+    return times

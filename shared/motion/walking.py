@@ -17,7 +17,7 @@ from shared.config import WalkConfig
 from shared.motion.com_plan import GRAVITY, ComPlan, ZmpSegment, dcm_plan
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import Step, plan_footsteps
-from shared.motion.reference import Reference, Standing
+from shared.motion.reference import Reference, Standing, motion_digest
 from shared.motion.swing import quintic, swing
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
@@ -52,7 +52,8 @@ class Walking:
         self._base_in_standing = standing.world_from_base
         self.phases = _phases(config, self.steps)
         self._ends = [phase.end_ns for phase in self.phases]
-        self.com_plan = self._plan_com(robot, standing.com[:2])
+        self.com_plan = self._plan_com(standing.com[:2])
+        self.digest = self._digest()
 
     def reference(self, time_ns: int) -> Reference:
         """Reference at `time_ns` since the walk began; standing after its end."""
@@ -81,11 +82,9 @@ class Walking:
             swing=swing_state,
         )
 
-    def next_switch(self, time_ns: int) -> tuple[int, ContactMode] | None:
+    def next_switch(self, time_ns: int) -> int | None:
         k = bisect.bisect_right(self._ends, time_ns)
-        if k + 1 >= len(self.phases):
-            return None
-        return self.phases[k].end_ns, self.phases[k + 1].mode
+        return self.phases[k].end_ns if k + 1 < len(self.phases) else None
 
     def _phase(self, time_ns: int) -> Phase:
         k = bisect.bisect_right(self._ends, max(0, time_ns))
@@ -97,7 +96,15 @@ class Walking:
             return 0.0
         return (phase.step.goal.yaw + phase.step.support.yaw) / 2
 
-    def _plan_com(self, robot: Robot, start: np.ndarray) -> ComPlan:
+    def _digest(self) -> bytes:
+        """Of where and when the feet go, and of the CoM every 50 ms."""
+        goals = [[step.goal.x, step.goal.y, step.goal.yaw] for step in self.steps]
+        ends = [[phase.end_ns * 1e-9, phase.mode] for phase in self.phases]
+        times = np.arange(0.0, self._config.duration, 0.05)
+        com = [self.com_plan.state(time).position for time in times]
+        return motion_digest(np.array(goals), np.array(ends), np.array(com))
+
+    def _plan_com(self, start: np.ndarray) -> ComPlan:
         """ZMP under the support foot, in between during double support, then between the feet."""
         points = [self._zmp(step.support) for step in self.steps]
         last = self.steps[-1]

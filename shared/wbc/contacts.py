@@ -16,6 +16,7 @@ from shared.robots import Foot, FootDescription, RobotDescription
 POINTS_PER_FOOT = 4
 FORCES_PER_FOOT = 3 * POINTS_PER_FOOT
 ROWS_PER_POINT = 5
+ROWS_PER_FOOT = ROWS_PER_POINT * POINTS_PER_FOOT
 # Corners are moved inwards so that the centre of pressure stays off the edge of the real sole [m].
 CORNER_MARGIN = 0.005
 
@@ -31,6 +32,11 @@ class ContactMode(enum.IntEnum):
     def feet(self) -> tuple[Foot, ...]:
         """The loaded feet, left before right."""
         return _LOADED[self]
+
+    @property
+    def feet_indices(self) -> tuple[int, ...]:
+        """The loaded feet as numbers: 0 left, 1 right."""
+        return tuple(k for k, foot in enumerate(Foot) if foot in self.feet)
 
 
 _LOADED = {

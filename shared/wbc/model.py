@@ -129,9 +129,14 @@ class WholeBodyModel:
             )
         return pin.rnea(self.model, self.data, q, v, a, self._external_forces)
 
-    def centre_of_mass(self, q: np.ndarray) -> np.ndarray:
-        """Centre of mass in the world, (3,), at q."""
-        return pin.centerOfMass(self.model, self.data, q, False).copy()
+    def com_and_soles(self, q: np.ndarray) -> tuple[np.ndarray, dict[Foot, np.ndarray]]:
+        """Centre of mass and origin of each sole frame in the world, (3,), at q."""
+        com = pin.centerOfMass(self.model, self.data, q, False).copy()
+        soles = {
+            foot: self.data.oMi[joint].act(self._sole_placements[foot].translation)
+            for foot, joint in self._sole_joints.items()
+        }
+        return com, soles
 
     def sole_placements(self, q: np.ndarray) -> dict[Foot, pin.SE3]:
         """World placement of each sole frame at q."""

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from shared.wbc.contacts import ContactMode
+from shared.wbc.contacts import ROWS_PER_FOOT, ContactMode
 from shared.wbc.qp import QpSolution, QpSolver, QpStatus, QuadraticProgram
 from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
 
@@ -33,6 +33,15 @@ class Projector:
     mode: ContactMode
     A_dagger: np.ndarray
     active: np.ndarray
+
+    @property
+    def active_set(self) -> int:
+        """`active` as a bit mask, in which a row has the same bit in every contact mode.
+
+        Bit 20 k + i stands for row i of foot k, left before right.
+        """
+        first = self.mode.feet_indices[0] * ROWS_PER_FOOT
+        return sum(1 << (first + int(row)) for row in self.active)
 
     def apply(self, b: np.ndarray) -> np.ndarray:
         """y = A† b, Eq. (4); shape (n,): accelerations, then contact forces."""

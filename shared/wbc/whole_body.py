@@ -51,18 +51,16 @@ class WholeBodyController:
     def timed(self, projector: Projector, *, from_ns: int) -> TimedProjector:
         """Valid from a task time until the next contact switch after it."""
         switch = self._motion.next_switch(from_ns)
-        return TimedProjector(projector, from_ns, FOR_EVER_NS if switch is None else switch[0])
+        return TimedProjector(projector, from_ns, FOR_EVER_NS if switch is None else switch)
 
-    def prepare(self, q: np.ndarray, v: np.ndarray, *, time_ns: int) -> TimedProjector | None:
-        """Projector of the next contact mode, imposed on the state before the switch, Sec. III-C.
+    def projector_for(self, q: np.ndarray, v: np.ndarray, *, time_ns: int) -> TimedProjector | None:
+        """Projector at (q, v) for the reference and contact mode of a task time.
 
-        None if no switch comes or the QP has no solution.
+        If that time lies beyond a contact switch, the coming mode is imposed on the present state,
+        Sec. III-C. None if the QP has no solution.
         """
-        switch = self._motion.next_switch(time_ns)
-        if switch is None:
-            return None
-        switch_ns, mode = switch
-        solution, _ = self.solve(q, v, time_ns=switch_ns, mode=mode)
+        mode = self._motion.reference(time_ns).mode
+        solution, _ = self.solve(q, v, time_ns=time_ns, mode=mode)
         if solution.projector is None:
             return None
-        return self.timed(solution.projector, from_ns=switch_ns)
+        return self.timed(solution.projector, from_ns=time_ns)

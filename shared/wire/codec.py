@@ -15,6 +15,7 @@ import numpy as np
 
 from shared.config import RunConfig
 from shared.errors import ConfigError, MessageRefused
+from shared.motion.reference import Motion
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import Projector
@@ -23,7 +24,7 @@ from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.messages import ProjectorMessage, RobotState
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _STATE, _PROJECTOR = "state", "projector"
 _MAX_INT = 2**63 - 1
 _DTYPES: dict[str, np.dtype[Any]] = {"float64": np.dtype("<f8"), "float32": np.dtype("<f4")}
@@ -32,8 +33,12 @@ _DTYPES: dict[str, np.dtype[Any]] = {"float64": np.dtype("<f8"), "float32": np.d
 class Codec:
     """Encoder and decoder for one robot under one configuration, the same at both ends."""
 
-    def __init__(self, robot: Robot, config: RunConfig) -> None:
-        self._digest = config.digest
+    def __init__(self, robot: Robot, config: RunConfig, motion: Motion) -> None:
+        self._header = {
+            "version": SCHEMA_VERSION,
+            "config": config.digest,
+            "plan": motion.digest,
+        }
         self._nq, self._nv = robot.model.nq, robot.model.nv
         self._dtype_name = config.wire.projector_dtype
         self._dtype = _DTYPES[self._dtype_name]
@@ -150,8 +155,7 @@ class Codec:
         )
 
     def _pack(self, kind: str, max_bytes: int, **fields: Any) -> bytes:
-        header = {"version": SCHEMA_VERSION, "kind": kind, "config": self._digest}
-        data = bytes(msgpack.packb({**header, **fields}))
+        data = bytes(msgpack.packb({**self._header, "kind": kind, **fields}))
         if len(data) > max_bytes:
             raise ConfigError(
                 f"wire: a {kind} message takes {len(data)} bytes, more than the {max_bytes} of its "
@@ -172,8 +176,10 @@ class Codec:
             raise MessageRefused("version", repr(fields.get("version")))
         if fields.get("kind") != kind:
             raise MessageRefused("kind", repr(fields.get("kind")))
-        if fields.get("config") != self._digest:
+        if fields.get("config") != self._header["config"]:
             raise MessageRefused("config", "the two ends run different configurations")
+        if fields.get("plan") != self._header["plan"]:
+            raise MessageRefused("plan", "the two ends derive different motions")
         return fields
 
 

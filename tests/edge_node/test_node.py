@@ -15,8 +15,8 @@ from tests.messages import altered, make_state
 
 
 @pytest.fixture(scope="module")
-def codec(robot, config):
-    return Codec(robot, config)
+def codec(robot, config, motion):
+    return Codec(robot, config, motion)
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_torque_and_solution_are_those_of_the_projector_sent(
     robot, model, motion, configured, stacks, states, dtype
 ):
     config = configured(**{"wire.projector_dtype": dtype})
-    codec, edge = Codec(robot, config), EdgeNode(robot, config, motion)
+    codec, edge = Codec(robot, config, motion), EdgeNode(robot, config, motion)
     stack = stacks[ContactMode.DOUBLE_SUPPORT]
     for k, (q, v) in enumerate(states[:10]):
         edge.receive(codec.encode_state(make_state(robot, sequence=k, q=q, v=v)))
@@ -135,9 +135,10 @@ def damaged(data):
         "oversized": bytes(2000),
         "not_finite": altered(data, poison),
         "shape": altered(data, lambda f: f.update(q=f["q"][:-8])),
-        "version": altered(data, lambda f: f.update(version=2)),
+        "version": altered(data, lambda f: f.update(version=99)),
         "kind": altered(data, lambda f: f.update(kind="projector")),
         "config": altered(data, lambda f: f.update(config=b"otherwise")),
+        "plan": altered(data, lambda f: f.update(plan=b"elsewhere")),
         "mode": altered(data, lambda f: f.update(mode=3)),
     }
 
@@ -168,7 +169,7 @@ def test_a_state_beyond_physics_is_answered_or_named_and_never_raises(
     robot, motion, configured, solver, speed
 ):
     config = configured(**{"wbc.solver": solver})
-    codec, edge = Codec(robot, config), EdgeNode(robot, config, motion)
+    codec, edge = Codec(robot, config, motion), EdgeNode(robot, config, motion)
     edge.receive(codec.encode_state(make_state(robot, sequence=0, v=np.full(37, speed))))
     with np.errstate(all="ignore"):
         answer = edge.step()
@@ -207,7 +208,7 @@ def test_a_row_tells_what_the_solve_did(edge, state):
         "solve_ns": 300,
         "status": list(QpStatus).index(QpStatus.SOLVED),
         "iterations": answer.solution.iterations,
-        "active_set_size": len(answer.solution.projector.active),
+        "active_set": answer.solution.projector.active_set,
     }
 
 
@@ -222,4 +223,4 @@ def test_an_unsolved_state_leaves_a_row_without_an_active_set(edge, state):
     row = np.zeros(SOLVE_SCHEMA.width)
     failed.record(row, wall_ns=1, solve_ns=1)
     assert row[SOLVE_SCHEMA.slices["status"]] == list(QpStatus).index(QpStatus.INFEASIBLE)
-    assert row[SOLVE_SCHEMA.slices["active_set_size"]] == 0
+    assert row[SOLVE_SCHEMA.slices["active_set"]] == -1

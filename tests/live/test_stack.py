@@ -15,7 +15,8 @@ import pytest
 
 from shared.bus.base import Delivery
 from shared.bus.zenoh_bus import ZenohBus
-from shared.config import RunConfig, load_config
+from shared.config import RunConfig
+from shared.config_file import load_config
 from shared.robots import load_robot
 from shared.telemetry import read_parquet
 from shared.wire.channels import DOWNLINK

@@ -15,6 +15,7 @@ def walk(play, delay_ms, **changes):
         **{
             "link.network": f"constant:{delay_ms}ms",
             "switch.compute_ns": delay_ms * MS,
+            "switch.compute_time_scale": 1.0,
             "walk.double_support": 0.005,
             "duration": 7.8,
             **changes,

@@ -134,8 +134,8 @@ def test_feet_alternate_and_never_cross(walking):
 def test_switches_are_announced_at_their_times(walking):
     time_ns = 0
     for phase, following in zip(walking.phases, walking.phases[1:], strict=False):
-        assert walking.next_switch(phase.begin_ns) == (phase.end_ns, following.mode)
-        assert walking.next_switch(phase.end_ns - 1) == (phase.end_ns, following.mode)
+        assert walking.next_switch(phase.begin_ns) == phase.end_ns
+        assert walking.next_switch(phase.end_ns - 1) == phase.end_ns
         assert walking.reference(phase.end_ns - 1).mode is phase.mode
         assert walking.reference(phase.end_ns).mode is following.mode
         time_ns = phase.end_ns

@@ -14,9 +14,9 @@ DOUBLE, LEFT, RIGHT = ContactMode
 
 
 @pytest.fixture(scope="module")
-def codec(robot, configured):
+def codec(robot, configured, motion):
     # Single precision: three modes fit into one message.
-    return Codec(robot, configured(**{"wire.projector_dtype": "float32"}))
+    return Codec(robot, configured(**{"wire.projector_dtype": "float32"}), motion)
 
 
 @pytest.fixture

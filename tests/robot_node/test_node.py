@@ -26,7 +26,7 @@ class Bench:
     def __init__(self, robot, motion, config):
         self.robot = RobotNode(robot, config, motion, session=SESSION)
         self.edge = EdgeNode(robot, config, motion)
-        self.codec = Codec(robot, config)
+        self.codec = Codec(robot, config, motion)
         self.now_ns = 0
         self.rows = []
         self.commands = []
@@ -201,6 +201,7 @@ def garbage(answer):
         "version": altered(answer, lambda f: f.update(version=99)),
         "kind": altered(answer, lambda f: f.update(kind="state")),
         "config": altered(answer, lambda f: f.update(config=bytes(8))),
+        "plan": altered(answer, lambda f: f.update(plan=bytes(8))),
         "mode": altered(answer, lambda f: f.update(mode=9)),
         "dtype": altered(answer, lambda f: f["projectors"][0].update(dtype="int8")),
         "session": altered(answer, lambda f: f.update(session=SESSION + 1)),
@@ -305,12 +306,15 @@ def test_a_row_tells_what_the_tick_did(bench, robot, model):
     assert column("projector_age_ns") == DEADLINE_NS
     np.testing.assert_array_equal(column("tau"), command.tau)
     np.testing.assert_array_equal(column("f"), command.y[37:])
-    np.testing.assert_allclose(column("com"), model.centre_of_mass(column("q")), atol=1e-14)
+    np.testing.assert_allclose(column("com"), model.com_and_soles(column("q"))[0], atol=1e-14)
     difference = column("com") - column("com_reference")
     assert column("com_error_m") == pytest.approx(np.linalg.norm(difference), rel=1e-12)
     # A fresh solution keeps the rigid contact: what is left is rounding of accelerations near 10.
     assert column("contact_violation_m_s2") < 1e-9
-    assert column("active_set_size") == command.active_set_size
+    assert column("projector_sequence") == 2
+    assert column("active_set") == sum(1 << row for row in command.entry.projector.active)
+    np.testing.assert_allclose(column("foot_slip_m"), 0.0, atol=1e-4)
+    assert column("on_board_qps") == 0
 
 
 def test_a_held_tick_has_no_forces_and_no_violation_to_report(bench):
@@ -348,7 +352,7 @@ def test_a_state_that_is_not_finite_is_a_fall_and_no_exception(bench, robot):
 
 def test_a_new_robot_has_a_session_of_its_own(robot, motion, configured):
     config = configured(push=[])
-    codec = Codec(robot, config)
+    codec = Codec(robot, config, motion)
     sessions = {
         codec.decode_state(RobotNode(robot, config, motion).measure(0)).session for _ in range(3)
     }
@@ -359,7 +363,9 @@ def test_an_edge_of_other_settings_is_named_in_the_counters(bench, robot, motion
     played = bench()
     other = EdgeNode(robot, configured(push=[], **{"wbc.friction": 0.4}), motion)
     state = dataclasses.replace(make_state(robot), session=SESSION, sequence=0)
-    other.receive(Codec(robot, configured(push=[], **{"wbc.friction": 0.4})).encode_state(state))
+    other.receive(
+        Codec(robot, configured(push=[], **{"wbc.friction": 0.4}), motion).encode_state(state)
+    )
     answer = other.step().data
     played.run(1, deliver=lambda _: [answer])
     assert played.robot.cache.refused == {"config": 1}

@@ -15,12 +15,10 @@ from shared.config import (
     SensorConfig,
     WbcConfig,
     WireConfig,
-    dump_config,
-    load_config,
-    parse_duration_ns,
-    parse_push,
 )
+from shared.config_file import dump_config, load_config
 from shared.errors import ConfigError
+from shared.quantities import parse_duration_ns, parse_push
 
 MS = 1_000_000
 

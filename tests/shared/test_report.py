@@ -20,6 +20,7 @@ from shared.report import (
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, tick_schema
 
 SCHEMA = tick_schema(nq=38, nv=37)
+NONE = np.empty(0)
 
 
 def ticks(count, *, waiting=0):
@@ -154,7 +155,9 @@ def test_a_map_and_a_value_under_one_name_do_not_mix():
 
 def test_a_summary_has_every_key_even_where_a_part_is_missing():
     config = RunConfig()
-    whole = summary(config, robot=robot_part(ticks(20)), edge=None, link=None)
+    whole = summary(
+        config, robot=robot_part(ticks(20)), edge=None, link=None, discrepancy=np.empty(0)
+    )
     assert (whole["task"], whole["controller"]) == ("balance", "la")
     keys = {"sent", "received", "lost", "refused", "delay_error_ms"}
     for way in ("uplink", "downlink"):
@@ -168,10 +171,20 @@ def test_a_summary_has_every_key_even_where_a_part_is_missing():
 
 def test_a_summary_is_told_in_words_even_where_a_part_is_missing():
     for part in (ticks(20), ticks(5, waiting=5)):
-        words = summary_in_words(summary(RunConfig(), robot=robot_part(part), edge=None, link=None))
+        words = summary_in_words(
+            summary(
+                RunConfig(), robot=robot_part(part), edge=None, link=None, discrepancy=np.empty(0)
+            )
+        )
         assert words.startswith("Stands after")
         assert "None ms" not in words
-    fell = summary(RunConfig(), robot=robot_part(ticks(20), fell=True), edge=None, link=None)
+    fell = summary(
+        RunConfig(),
+        robot=robot_part(ticks(20), fell=True),
+        edge=None,
+        link=None,
+        discrepancy=np.empty(0),
+    )
     assert summary_in_words(fell).startswith("FELL after 0.02 s")
 
 

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from shared.bus.zenoh_bus import ZenohBus
-from shared.config import RunConfig, dump_config
+from shared.config import RunConfig
+from shared.config_file import dump_config
 from shared.errors import LinkError, UserError
 from shared.robots import Robot
 from shared.telemetry import encode_rows

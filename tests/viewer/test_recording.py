@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from rerun.chunk import RrdReader
 
-from shared.config import RunConfig, dump_config
+from shared.config import RunConfig
+from shared.config_file import dump_config
 from shared.errors import UserError
 from shared.robots import Robot
 from shared.telemetry import write_parquet

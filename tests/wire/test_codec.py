@@ -24,13 +24,13 @@ TIMES = st.integers(-(2**62), 2**62)
 
 
 @pytest.fixture(scope="module")
-def codec(robot, config):
-    return Codec(robot, config)
+def codec(robot, config, motion):
+    return Codec(robot, config, motion)
 
 
 @pytest.fixture(scope="module")
-def half_codec(robot, configured):
-    return Codec(robot, configured(**{"wire.projector_dtype": "float32"}))
+def half_codec(robot, configured, motion):
+    return Codec(robot, configured(**{"wire.projector_dtype": "float32"}), motion)
 
 
 def assert_same(left, right):

@@ -22,6 +22,7 @@ REASONS = {
     "version",
     "kind",
     "config",
+    "plan",
     "mode",
     "dtype",
     "layout",
@@ -31,8 +32,8 @@ REASONS = {
 
 
 @pytest.fixture(scope="module")
-def codec(robot, config):
-    return Codec(robot, config)
+def codec(robot, config, motion):
+    return Codec(robot, config, motion)
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +208,7 @@ def test_a_projector_without_a_field_is_refused(codec, answer_bytes, name, reaso
     assert reason_of(codec.decode_projector, data) == reason
 
 
-@pytest.mark.parametrize("name", ["version", "kind", "config"])
+@pytest.mark.parametrize("name", ["version", "kind", "config", "plan"])
 def test_a_header_without_a_field_is_refused_under_its_name(codec, state_bytes, name):
     data = altered(state_bytes, lambda fields: fields.pop(name))
     assert reason_of(codec.decode_state, data) == name
@@ -236,9 +237,9 @@ def test_a_message_of_the_other_kind_is_refused(codec, state_bytes, answer_bytes
     ids=str,
 )
 def test_an_end_with_other_settings_is_refused(
-    codec, robot, configured, state_bytes, answer_bytes, setting
+    codec, robot, configured, motion, state_bytes, answer_bytes, setting
 ):
-    other = Codec(robot, configured(**setting))
+    other = Codec(robot, configured(**setting), motion)
     assert reason_of(other.decode_state, state_bytes) == "config"
     assert reason_of(other.decode_projector, answer_bytes) == "config"
 
@@ -248,8 +249,8 @@ def test_an_end_with_other_settings_is_refused(
     [{"seed": 3}, {"controller": "pr"}, {"link.loss": 0.5}, {"loop.hold_after": 1.0}],
     ids=str,
 )
-def test_settings_of_one_end_only_do_not_matter(robot, configured, state_bytes, setting):
-    Codec(robot, configured(**setting)).decode_state(state_bytes)
+def test_settings_of_one_end_only_do_not_matter(robot, configured, motion, state_bytes, setting):
+    Codec(robot, configured(**setting), motion).decode_state(state_bytes)
 
 
 @pytest.mark.parametrize("mode", [-1, 3, 2**40])
@@ -360,8 +361,8 @@ def test_infinities_that_cancel_are_refused(codec, state_bytes):
     assert reason_of(codec.decode_state, altered(state_bytes, change)) == "not_finite"
 
 
-def test_a_single_precision_projector_with_a_nan_is_refused(robot, configured, stacks, rng):
-    codec = Codec(robot, configured(**{"wire.projector_dtype": "float32"}))
+def test_a_single_precision_projector_with_a_nan_is_refused(robot, configured, motion, stacks, rng):
+    codec = Codec(robot, configured(**{"wire.projector_dtype": "float32"}), motion)
     data = codec.encode_projector(make_answer(stacks[ContactMode.DOUBLE_SUPPORT], rng))
     for word in (0x7FC00000, 0x7F800001, 0x7F800000):
 

@@ -1,0 +1,67 @@
+"""Values written with their units, as in flags and files: `30ms`, `15deg`, `100N@1.0s:0.2s:+y`."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from shared.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Push:
+    """A force on the base [N], world frame, from `start_ns` for `duration_ns`."""
+
+    force: tuple[float, float, float]
+    start_ns: int
+    duration_ns: int
+
+    def active(self, time_ns: int) -> bool:
+        """Whether it acts at `time_ns` of the task."""
+        return self.start_ns <= time_ns < self.start_ns + self.duration_ns
+
+
+_UNITS_NS = {"us": 1e3, "ms": 1e6, "s": 1e9}
+# Times, and forces, beyond this are slips of the pen; they also stay well inside 64 bits of ns.
+_MAX_SECONDS = 1e6
+_PUSH = re.compile(
+    r"(?P<force>[0-9.]+)N@(?P<start>[0-9.]+)s:(?P<duration>[0-9.]+)s:(?P<sign>[+-])(?P<axis>[xyz])"
+)
+
+
+def parse_push(text: str) -> Push:
+    """`100N@1.0s:0.2s:+y` → 100 N along +y of the world from 1.0 s for 0.2 s."""
+    match = _PUSH.fullmatch(text.strip())
+    try:
+        if match is None:
+            raise ValueError
+        size, start = float(match["force"]), float(match["start"])
+        duration = float(match["duration"])
+        if not max(size, start, duration) <= _MAX_SECONDS:
+            raise ValueError
+    except ValueError:
+        raise ConfigError(
+            f"push: expected FORCE@START:DURATION:DIRECTION as in 100N@1.0s:0.2s:+y "
+            f"(direction ±x, ±y or ±z), or none, got {text!r}"
+        ) from None
+    force = [0.0, 0.0, 0.0]
+    force["xyz".index(match["axis"])] = size if match["sign"] == "+" else -size
+    return Push((force[0], force[1], force[2]), round(start * 1e9), round(duration * 1e9))
+
+
+def parse_duration_ns(text: str) -> int:
+    """`30ms`, `1.5s` or `800us` → nanoseconds."""
+    match = re.fullmatch(r"([0-9]*\.?[0-9]+)(us|ms|s)", text.strip())
+    nanoseconds = float("inf") if match is None else float(match[1]) * _UNITS_NS[match[2]]
+    if not nanoseconds <= _MAX_SECONDS * 1e9:
+        raise ConfigError(f"expected a duration as in 30ms, 1.5s or 800us, got {text!r}")
+    return round(nanoseconds)
+
+
+def parse_angle(text: str) -> float:
+    """`15deg`, `-0.26rad` or `0.26` → radians."""
+    match = re.fullmatch(r"([+-]?[0-9]*\.?[0-9]+)(deg|rad)?", text.strip())
+    if match is None:
+        raise ConfigError(f"expected an angle as in 15deg or 0.26rad, got {text!r}")
+    return math.radians(float(match[1])) if match[2] == "deg" else float(match[1])
