@@ -19,6 +19,8 @@ from shared.errors import LinkError
 from shared.wbc.whole_body import TimedProjector
 
 _START_SECONDS = 30.0
+# Between the shim and the edge: it is a computer of the robot's, but its work is not a tick's.
+_PRIORITY = 15
 
 
 class WorkerComputer:
@@ -60,6 +62,7 @@ def _serve(pipe: Connection, config: RunConfig) -> None:
 
     from shared.clock import sleep_until
     from shared.motion.plan import make_motion
+    from shared.realtime import prepare, suspend_garbage_collection
     from shared.robots import load_robot
     from shared.wbc.whole_body import WholeBodyController
 
@@ -67,6 +70,8 @@ def _serve(pipe: Connection, config: RunConfig) -> None:
     robot = load_robot(config.robot.name)
     motion = make_motion(robot, config)
     controller = WholeBodyController(robot, config.wbc, motion)
+    prepare(priority=_PRIORITY)
+    suspend_garbage_collection()
     pipe.send("ready")
     try:
         while True:

@@ -240,6 +240,11 @@ class RunConfig:
                 "loop.fresh_within_ns: expected a deadline inside the period, "
                 f"0 < d* < {self.loop.period_ns}, got {self.loop.fresh_within_ns}"
             )
+        if self.task == "walk" and self.wire.projector_dtype == "float64":
+            raise ConfigError(
+                "wire.projector_dtype: expected float32 for a walk, where one message of at most "
+                "40 kB has the projectors of several contact modes, got 'float64'"
+            )
         for push in self.push:
             parse_push(push)
 

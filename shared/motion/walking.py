@@ -17,6 +17,7 @@ from shared.config import WalkConfig
 from shared.motion.com_plan import GRAVITY, ComPlan, ZmpSegment, dcm_plan
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import Step, plan_footsteps
+from shared.motion.mpc_plan import SupportPhase, mpc_plan
 from shared.motion.reference import Reference, Standing, motion_digest
 from shared.motion.swing import quintic, swing
 from shared.robots import Foot, Robot
@@ -52,6 +53,7 @@ class Walking:
         self._base_in_standing = standing.world_from_base
         self.phases = _phases(config, self.steps)
         self._ends = [phase.end_ns for phase in self.phases]
+        self.support_phases = self._support_phases(robot)
         self.com_plan = self._plan_com(standing.com[:2])
         self.digest = self._digest()
 
@@ -104,28 +106,47 @@ class Walking:
         com = [self.com_plan.state(time).position for time in times]
         return motion_digest(np.array(goals), np.array(ends), np.array(com))
 
-    def _plan_com(self, start: np.ndarray) -> ComPlan:
-        """ZMP under the support foot, in between during double support, then between the feet."""
-        points = [self._zmp(step.support) for step in self.steps]
-        last = self.steps[-1]
-        centre = (self._zmp(last.support) + self._zmp(last.goal)) / 2
-        segments = []
-        supports = iter(points)
-        point = points[0]
+    def _support_phases(self, robot: Robot) -> list[SupportPhase]:
+        """On which soles when, with the ZMP under the support foot and at last between the feet."""
+        soles = {foot.side: foot.corners()[:, :2] for foot in robot.description.feet}
+        phases = []
+
+        def add(
+            begin: float, end: float, prints: tuple[Footprint, ...], zmp: np.ndarray, v: np.ndarray
+        ) -> None:
+            corners = [each.to_world(corner) for each in prints for corner in soles[each.foot]]
+            phases.append(SupportPhase(begin, end, np.array(corners), zmp, v))
+
+        still = np.zeros(2)
         for phase in self.phases:
-            begin, end = phase.begin_ns * 1e-9, phase.end_ns * 1e-9
-            if phase.step is None:
-                segments.append(ZmpSegment(begin, end, point, point))
-            elif phase.mode is not ContactMode.DOUBLE_SUPPORT:
-                point = next(supports)
-                segments.append(ZmpSegment(begin, end, point, point))
-            elif phase is self.phases[-1]:
-                segments.append(ZmpSegment(begin, begin + _SETTLE, point, centre))
-                segments.append(ZmpSegment(begin + _SETTLE, end, centre, centre))
+            begin, end, step = phase.begin_ns * 1e-9, phase.end_ns * 1e-9, phase.step
+            if step is None:
+                first = self.steps[0]
+                add(begin, end, (first.support, first.start), self._zmp(first.support), still)
+                continue
+            moved = self._zmp(step.goal) - self._zmp(step.start)
+            velocity = moved / 2 / self._config.step_duration
+            if phase.mode is not ContactMode.DOUBLE_SUPPORT:
+                add(begin, end, (step.support,), self._zmp(step.support), velocity)
+            elif phase is not self.phases[-1]:
+                # The foot that has just landed bears the next step.
+                add(begin, end, (step.support, step.goal), self._zmp(step.goal), velocity)
             else:
-                following = points[self.steps.index(phase.step) + 1]
-                segments.append(ZmpSegment(begin, end, point, following))
+                centre = (self._zmp(step.support) + self._zmp(step.goal)) / 2
+                for span in ((begin, begin + _SETTLE), (begin + _SETTLE, end)):
+                    add(*span, (step.support, step.goal), centre, still)
+        return phases
+
+    def _plan_com(self, start: np.ndarray) -> ComPlan:
         omega = math.sqrt(GRAVITY / self._com_height)
+        phases = self.support_phases
+        if self._config.com_plan == "mpc":
+            return mpc_plan(phases, omega=omega, position=start)
+        before = [phases[0].zmp, *(phase.zmp for phase in phases)]
+        segments = [
+            ZmpSegment(phase.begin, phase.finish, zmp, phase.zmp)
+            for zmp, phase in zip(before, phases, strict=False)
+        ]
         return dcm_plan(segments, omega=omega, position=start)
 
     def _zmp(self, print_: Footprint) -> np.ndarray:

@@ -75,6 +75,34 @@ def test_up_balances_and_leaves_every_file(start: Start, tmp_path: Path) -> None
     assert descendants_naming(str(out)) == []
 
 
+def test_up_walks_with_an_on_board_computer_beside_the_loop(start: Start, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    up = start(
+        "deploy.up",
+        *("--task", "walk", "--steps", "2", "--network", "constant:10ms"),
+        *("--view", "off", "--out", str(out)),
+    )
+    assert up.wait(seconds=90.0) == 0, up.output
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["fell"] is False
+    assert sum(summary["commands"].values()) == 4600
+    # Two preparations per step, and full QPs in the windows around the switches.
+    assert summary["on_board_qps"] > 4
+    assert summary["active_set_discrepancy"]["mean"] is not None
+    assert descendants_naming(str(out)) == []
+
+
+def test_a_plan_that_cannot_be_walked_is_refused_before_anything_starts(
+    start: Start, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    up = start("deploy.up", "--task", "walk", "--step-sideways", "0.5", "--out", str(out))
+    assert up.wait() == 2
+    assert len(up.lines) == 1
+    assert "legs reach" in up.output
+    assert not out.exists()
+
+
 def test_up_says_with_its_exit_code_that_the_robot_fell(start: Start, tmp_path: Path) -> None:
     up = start(
         "deploy.up",

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -48,6 +49,34 @@ def test_every_flag_reaches_its_setting(config_of):
     assert (config.duration, config.seed) == (2.5, 4)
     assert config.sensors.joint_position_noise == 0.02
     assert config.push == ("1N@1s:1s:+x", "2N@2s:1s:-y")
+
+
+def test_every_walk_flag_reaches_its_setting(config_of):
+    config = config_of(
+        "--task", "walk", "--steps", "8", "--step-length", "-0.1", "--step-sideways", "0.02",
+        "--step-turn", "15deg", "--step-width", "0.2", "--step-duration", "0.9",
+        "--double-support", "0.005", "--swing-height", "0.04", "--com-plan", "mpc",
+        "--on-board-delay", "25ms",
+    )  # fmt: skip
+    walk = config.walk
+    assert (walk.steps, walk.step_length, walk.step_sideways) == (8, -0.1, 0.02)
+    assert walk.step_turn == pytest.approx(math.radians(15.0))
+    assert (walk.step_width, walk.step_duration, walk.double_support) == (0.2, 0.9, 0.005)
+    assert (walk.swing_height, walk.com_plan) == (0.04, "mpc")
+    assert config.switch.ready_after_ns(config.switch.compute_ns) == 25_000_000
+    assert config.duration == pytest.approx(walk.duration)
+
+
+@pytest.mark.parametrize("flag", ["--steps=3", "--on-board-delay=3ms", "--com-plan=dcm"])
+def test_a_walk_flag_without_a_walk_is_refused(config_of, flag):
+    with pytest.raises(ConfigError, match="add --task walk"):
+        config_of(flag)
+
+
+@pytest.mark.parametrize("angle", ["15 degrees", "deg", "", "1e3", "nan"])
+def test_a_turn_that_is_no_angle_is_refused(config_of, angle):
+    with pytest.raises(ConfigError, match="15deg"):
+        config_of("--task", "walk", "--step-turn", angle)
 
 
 def test_a_zero_is_a_value_and_not_a_missing_flag(config_of):
