@@ -5,6 +5,7 @@ States are taken from a disturbed standing robot, so that active sets differ fro
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,11 +17,12 @@ from benchmarks.timing import Timing, header, measure, table
 from edge_node.node import EdgeNode
 from experiments.lockstep import Lockstep
 from robot_node.node import RobotNode
-from shared.config import RunConfig
+from shared.config import CONTROLLERS, CORRECTION_LEVELS, RunConfig
 from shared.config_file import load_config
 from shared.motion.reference import Standing
 from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode
+from shared.wbc.correction import Corrector, Factorisation, Iterate, factorise_kkt
 from shared.wbc.model import Jacobians, Kinematics, WholeBodyModel
 from shared.wbc.projector import (
     CondensedQp,
@@ -53,6 +55,9 @@ class _Case:
     active: np.ndarray
     projector: Projector
     y: np.ndarray
+    blocks: Factorisation
+    iterate: Iterate
+    residual: np.ndarray
 
 
 def run(*, repetitions: int, seed: int) -> str:
@@ -104,7 +109,27 @@ def _parts(robot: Robot, config: RunConfig, repetitions: int, seed: int) -> list
         timed("condense + QP + projector", lambda c: solve(stack, c.matrices, c.b, solver=daqp)),
         timed("apply projector", lambda c: c.projector.apply(c.b)),
         timed("torque recovery", lambda c: recover_torque(model, stack.contacts, c.q, c.v, c.y)),
+        timed("blocks of the KKT inverse", lambda c: factorise_kkt(stack, c.matrices, c.q[7:])),
+        timed("corrector from the blocks", lambda c: Corrector(stack, c.blocks, level="b")),
+        *(
+            timed(f"correction, level {level}", step)
+            for level, step in _corrections(robot, model, stack)
+        ),
     ]
+
+
+def _corrections(
+    robot: Robot, model: WholeBodyModel, stack: Stack
+) -> list[tuple[str, Callable[[_Case], object]]]:
+    """A step of each level with the factorisation of the standing robot."""
+    matrices = stack.matrices(model.jacobians(robot.q_standing))
+    blocks = factorise_kkt(stack, matrices, robot.q_standing[7:])
+
+    def step_of(level: str) -> Callable[[_Case], object]:
+        corrector = Corrector(stack, blocks, level=level)
+        return lambda c: corrector.step(c.iterate, c.residual, model, c.kinematics)
+
+    return [(level, step_of(level)) for level in CORRECTION_LEVELS]
 
 
 def _cases(
@@ -123,16 +148,40 @@ def _cases(
         condensed = condense(stack, matrices, b)
         active = daqp.solve(condensed.problem).active
         projector = factorise(stack, condensed, active)
-        full = full_problem(stack, matrices, b)
         y = projector.apply(b)
+        wrenches = stack.contacts.wrenches(y[model.nv :])
+        at_solution = model.kinematics(q, v, y[: model.nv], wrenches)
         cases.append(
-            _Case(q, v, kinematics, jacobians, matrices, b, condensed, full, active, projector, y)
+            _Case(
+                q=q,
+                v=v,
+                kinematics=kinematics,
+                jacobians=jacobians,
+                matrices=matrices,
+                b=b,
+                condensed=condensed,
+                full=full_problem(stack, matrices, b),
+                active=active,
+                projector=projector,
+                y=y,
+                blocks=factorise_kkt(stack, matrices, q[7:]),
+                iterate=Iterate(stack.mode, y, np.zeros(stack.equality_rows.stop)),
+                residual=stack.right_hand_side(at_solution, reference),
+            )
         )
     return cases
 
 
 def _nodes(robot: Robot, config: RunConfig, repetitions: int) -> list[Timing]:
     """Whole tick and whole step in closed loop, codec included, plant excluded."""
+    timings = []
+    for controller in CONTROLLERS:
+        changed = dataclasses.replace(config, controller=controller)
+        timings += _node(robot, changed, repetitions)
+    return timings
+
+
+def _node(robot: Robot, config: RunConfig, repetitions: int) -> list[Timing]:
     robot_node = RobotNode(robot, config, Standing(robot), session=1)
     edge_node = EdgeNode(robot, config, Standing(robot))
     ticks, steps, plant = (np.empty(repetitions) for _ in range(3))
@@ -144,20 +193,21 @@ def _nodes(robot: Robot, config: RunConfig, repetitions: int) -> list[Timing]:
         edge_node.receive(state)
         answer = edge_node.step()
         answered = time.perf_counter_ns()
-        assert answer is not None
-        assert answer.data is not None
-        robot_node.receive(answer.data)
+        if answer is not None and answer.data is not None:
+            robot_node.receive(answer.data)
+            down = max(down, len(answer.data))
         command = robot_node.command(0)
         ticks[k] = measured - start + time.perf_counter_ns() - answered
         steps[k] = answered - measured
         commanded = time.perf_counter_ns()
         robot_node.advance(command)
         plant[k] = time.perf_counter_ns() - commanded
-        up, down = max(up, len(state)), max(down, len(answer.data))
+        up = max(up, len(state))
+    name = config.controller.upper()
     return [
-        Timing.of("robot tick: measure, receive, command", ticks),
-        Timing.of(f"edge step ({up} B in, {down} B out)", steps),
-        Timing.of("plant: MuJoCo step, standing", plant),
+        Timing.of(f"{name} robot tick: measure, receive, command", ticks),
+        Timing.of(f"{name} edge step (at most {up} B in, {down} B out)", steps),
+        Timing.of(f"{name} plant: MuJoCo step, standing", plant),
     ]
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge_node.refresh import FactorisationRefresh
 from shared.bus.base import RefusalCounter
 from shared.config import RunConfig
 from shared.errors import MessageRefused
@@ -22,7 +23,7 @@ from shared.wbc.qp import QpStatus
 from shared.wbc.torque import recover_torque
 from shared.wbc.whole_body import TimedProjector, WholeBodyController
 from shared.wire.codec import Codec
-from shared.wire.messages import ProjectorMessage, RobotState
+from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
 
 _STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 
@@ -56,7 +57,10 @@ class EdgeNode:
         self._controller = WholeBodyController(robot, config.wbc, motion)
         self._codec = Codec(robot, config, motion)
         self._motion = motion
-        self._switch = config.switch
+        self._config = config
+        signs = np.random.default_rng([config.seed, 11]).choice([-1.0, 1.0], robot.model.nv - 6)
+        self._posture_error = config.correction.posture_error * signs
+        self._refresh = FactorisationRefresh(config.correction, motion)
         self._newest: RobotState | None = None
         self._last_seen: tuple[int, int] | None = None
 
@@ -79,6 +83,12 @@ class EdgeNode:
         state, self._newest = self._newest, None
         if state is None:
             return None
+        if state.holds is not None:
+            return self._factorise(state, state.holds)
+        return self.solve(state)
+
+    def solve(self, state: RobotState) -> Answer:
+        """The full QP at a state, and its projector."""
         controller = self._controller
         q, v, time_ns = state.q, state.v, state.time_ns
         solution, b = controller.solve(q, v, time_ns=time_ns, mode=state.mode)
@@ -100,9 +110,33 @@ class EdgeNode:
         )
         return Answer(state.sequence, solution, self._codec.encode_projector(message))
 
+    def _factorise(self, state: RobotState, holds: tuple[int, ...]) -> Answer | None:
+        """Factorisations for a robot that corrects, where it needs new ones; or a sign of life."""
+        modes = self._refresh.due(state, holds)
+        if modes is None:
+            return None
+        q = state.q.copy()
+        q[7:] += self._posture_error
+        factorisations = self._controller.factorise(
+            q, modes, damping=self._config.correction.damping
+        )
+        if factorisations is None:
+            self.solved[QpStatus.NOT_FINITE.value] += 1
+            return Answer(state.sequence, WholeBodySolution(QpStatus.NOT_FINITE, None, 0), None)
+        self._refresh.sent(state, modes)
+        self.solved[QpStatus.SOLVED.value] += 1
+        message = FactorisationMessage(
+            session=state.session,
+            sequence=state.sequence,
+            stamp_ns=state.stamp_ns,
+            factorisations=factorisations,
+        )
+        solution = WholeBodySolution(QpStatus.SOLVED, None, 0)
+        return Answer(state.sequence, solution, self._codec.encode_factorisations(message))
+
     def _prepared(self, state: RobotState) -> tuple[TimedProjector, ...]:
         """Projectors of the coming contact modes, shortly before the switches to them."""
-        config = self._switch
+        config = self._config.switch
         if not config.prepare_on_edge:
             return ()
         prepared = [

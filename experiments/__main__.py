@@ -1,4 +1,4 @@
-"""Reproducible runs under simulated time: `python -m experiments trial …`."""
+"""Reproducible runs under simulated time: `python -m experiments trial …` or `… sweep …`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from __future__ import annotations
 import shared.single_thread  # noqa: F401
 
 # isort: on
+from experiments.sweep import add_sweep_arguments, run_sweep
 from experiments.trial import add_trial_arguments, run_trial
 from shared.cli import Parser, run
 
@@ -15,8 +16,10 @@ def main() -> int:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     trial = commands.add_parser("trial", help="play one run in lockstep and print its summary")
     add_trial_arguments(trial)
+    sweep = commands.add_parser("sweep", help="play a study and print its table")
+    add_sweep_arguments(sweep)
     arguments = parser.parse_args()
-    return run_trial(arguments)
+    return run_trial(arguments) if arguments.command == "trial" else run_sweep(arguments)
 
 
 if __name__ == "__main__":

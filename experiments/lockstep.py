@@ -31,10 +31,12 @@ from shared.config import RunConfig
 from shared.errors import LinkError
 from shared.metrics import active_set_discrepancy, in_task, true_active_sets
 from shared.motion.plan import make_motion
+from shared.quantities import parse_outage
 from shared.report import edge_report, link_report, robot_report, summary
 from shared.robots import load_robot
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, RowLog, Schema
 from shared.wire.channels import DOWNLINK, UPLINK
+from shared.wire.codec import Codec
 
 _RANK_DELIVERY, _RANK_EDGE, _RANK_MEASURE, _RANK_COMMAND = range(4)
 
@@ -51,18 +53,22 @@ class TrialResult:
 
 
 class Lockstep:
-    """One trial. `run` plays it to the end of its duration or the robot's fall."""
+    """One trial. `run` plays it to the end of its duration or the robot's fall.
 
-    def __init__(self, config: RunConfig) -> None:
+    With `all_active_sets`, states that the edge did not solve are solved after the trial, for the
+    discrepancy of the active set; of interest to the metrics only.
+    """
+
+    def __init__(self, config: RunConfig, *, all_active_sets: bool = True) -> None:
         self.config = config
         self.clock = SimClock()
         robot = load_robot(config.robot.name)
         motion = make_motion(robot, config)
         self.robot = RobotNode(robot, config, motion, session=1)
         self.edge = EdgeNode(robot, config, motion)
-        # States that the edge did not solve are solved after the trial, for the metrics only.
-        self._oracle = EdgeNode(robot, config, motion)
-        self._unanswered: dict[int, bytes] = {}
+        self._codec = Codec(robot, config, motion)
+        self._all_active_sets = all_active_sets
+        self._unsolved: dict[int, bytes] = {}
         self.ticks = RowLog(self.robot.schema)
         self.link = RowLog(LINK_SCHEMA)
         self.solves = RowLog(SOLVE_SCHEMA)
@@ -113,6 +119,7 @@ class Lockstep:
                     offset_ns=profile.start_offset_ns(config.seed),
                     loss=config.link.loss,
                     keep_order=config.link.keep_order,
+                    outages=[parse_outage(text) for text in config.link.outage],
                     rng=np.random.default_rng([config.seed, 2, direction]),
                 )
                 for direction in (UP, DOWN)
@@ -160,7 +167,8 @@ class Lockstep:
             return
         solve_ns = time.perf_counter_ns() - started
         answer.record(self.solves.row(), wall_ns=self.clock.now_ns(), solve_ns=solve_ns)
-        self._unanswered.pop(answer.state_sequence, None)
+        if answer.solution.projector is not None:
+            self._unsolved.pop(answer.state_sequence, None)
         self._edge_busy = True
 
         def finish() -> None:
@@ -176,7 +184,8 @@ class Lockstep:
         started = time.perf_counter_ns()
         data = self.robot.measure(now_ns)
         self._measure_cost_ns = time.perf_counter_ns() - started
-        self._unanswered[self.robot.tick] = data
+        if self._all_active_sets:
+            self._unsolved[self.robot.tick] = data
         self._uplink.publish(data)
         loop = self.config.loop
         self.at(now_ns + loop.fresh_within_ns, _RANK_COMMAND, self._command)
@@ -231,13 +240,11 @@ class Lockstep:
     def _discrepancy(self, rows: np.ndarray, solve_rows: np.ndarray) -> np.ndarray:
         """Cardinality by which each tick's active set differs from its state's own, Table VI."""
         missed = RowLog(SOLVE_SCHEMA)
-        for data in self._unanswered.values():
-            self._oracle.receive(data)
-            answer = self._oracle.step()
-            if answer is not None:
-                answer.record(missed.row(), wall_ns=0, solve_ns=0)
+        for data in self._unsolved.values():
+            answer = self.edge.solve(self._codec.decode_state(data))
+            answer.record(missed.row(), wall_ns=0, solve_ns=0)
         missed.close()
-        solved = np.concatenate([solve_rows, missed.rows()])
+        solved = np.concatenate([missed.rows(), solve_rows])
         schema = self.robot.schema
         rows = in_task(schema, rows)
         return active_set_discrepancy(schema, rows, true_active_sets(schema, rows, solved))

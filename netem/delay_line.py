@@ -8,12 +8,14 @@ twice; in the order of sending unless `keep_order` is off.
 from __future__ import annotations
 
 import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from netem.profile import LOST, DelayProfile
+from shared.quantities import Outage
 
 Item = TypeVar("Item")
 
@@ -39,6 +41,7 @@ class DelayLine(Generic[Item]):
         offset_ns: int = 0,
         loss: float = 0.0,
         keep_order: bool = True,
+        outages: Sequence[Outage] = (),
         rng: np.random.Generator,
     ) -> None:
         self.profile = profile
@@ -48,6 +51,7 @@ class DelayLine(Generic[Item]):
         self._offset_ns = offset_ns
         self._loss = loss
         self._keep_order = keep_order
+        self._outages = outages
         self._rng = rng
         self._heap: list[tuple[int, int, Due[Item]]] = []
         self._pushed = 0
@@ -58,8 +62,14 @@ class DelayLine(Generic[Item]):
 
     def push(self, item: Item, *, sent_ns: int) -> int | None:
         """Take a message in; return when it is due [ns], or None if the link loses it."""
-        elapsed_ns = max(0, sent_ns - self._start_ns) + self._offset_ns
-        delay_ns = self.profile.delay_ns(self.direction, elapsed_ns)
+        elapsed_ns = max(0, sent_ns - self._start_ns)
+        delay_ns = self.profile.delay_ns(self.direction, elapsed_ns + self._offset_ns)
+        for outage in self._outages:
+            if outage.begun(elapsed_ns):
+                if outage.duration_ns is None:
+                    delay_ns = LOST
+                elif delay_ns != LOST:
+                    delay_ns += outage.start_ns + outage.duration_ns - elapsed_ns
         if delay_ns == LOST or (self._loss > 0.0 and self._rng.random() < self._loss):
             self.lost += 1
             return None

@@ -18,6 +18,7 @@ from netem.delay_line import DelayLine, Due
 from netem.profile import DIRECTIONS, DelayProfile
 from shared.bus.base import Delivery, Publisher
 from shared.config import LinkConfig
+from shared.quantities import parse_outage
 from shared.telemetry import LINK_SCHEMA, RowLog
 
 _IDLE_SECONDS = 0.1
@@ -93,6 +94,7 @@ class Shim:
                 offset_ns=offset_ns,
                 loss=self._config.loss,
                 keep_order=self._config.keep_order,
+                outages=[parse_outage(text) for text in self._config.outage],
                 rng=np.random.default_rng([self._seed, 2, direction]),
             )
             for direction in range(len(DIRECTIONS))

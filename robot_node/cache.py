@@ -1,22 +1,27 @@
-"""The newest answer of the edge, and why the others were refused.
+"""The newest answers of the edge, and why the others were refused.
 
 An answer is taken if it passes the codec, echoes this start of the robot, and was computed from a
-newer state than the one held. Each contact mode keeps its own projector: one of another mode is
-never applied.
+newer state than the one held. Each contact mode keeps its own projector or factorisation: one of
+another mode is never applied.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from shared.bus.base import RefusalCounter
 from shared.errors import MessageRefused
 from shared.wbc.contacts import ContactMode
+from shared.wbc.correction import Corrector, Factorisation
 from shared.wbc.projector import Projector
+from shared.wbc.stack import Stack
 from shared.wbc.whole_body import TimedProjector
 from shared.wire.codec import Codec
+from shared.wire.messages import FactorisationMessage, ProjectorMessage
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,40 +44,67 @@ class CacheEntry:
         return self.timed.projector
 
 
-class ProjectorCache:
-    """Newest projector per contact mode, and the newest full solution of any mode."""
+class AnswerCache(ABC):
+    """What is common to all answers: from this session, newer than the last, and asked for.
+
+    `newest_stamp_ns` is when the state was measured that was answered last; −1 before the first.
+    """
 
     def __init__(self, codec: Codec, *, session: int) -> None:
         self.refused = RefusalCounter()
-        self.newest_stamp_ns = 0
-        self.newest_solution: CacheEntry | None = None
+        self.newest_stamp_ns = -1
         self._codec = codec
         self._session = session
         self._newest_sequence = -1
-        self._entries: dict[ContactMode, CacheEntry] = {}
 
     def offer(self, data: bytes, *, newest_sent: int) -> bool:
         """Take a received message if it is good; `newest_sent` is the last state's sequence."""
         try:
-            message = self._codec.decode_projector(data)
+            message = self._decode(data)
             if message.session != self._session:
                 raise MessageRefused("session", "answers another start of the robot")
             if message.sequence <= self._newest_sequence:
                 raise MessageRefused("stale", f"{message.sequence}")
             if message.sequence > newest_sent:
                 raise MessageRefused("future", f"{message.sequence}")
+            self._take(message)
         except MessageRefused as refusal:
             self.refused[refusal.reason] += 1
             return False
         self._newest_sequence = message.sequence
         self.newest_stamp_ns = message.stamp_ns
+        return True
+
+    @property
+    def holds(self) -> tuple[int, ...] | None:
+        """What to tell the edge is here, see `RobotState`."""
+        return None
+
+    @abstractmethod
+    def _decode(self, data: bytes) -> Any: ...
+
+    @abstractmethod
+    def _take(self, message: Any) -> None: ...
+
+
+class ProjectorCache(AnswerCache):
+    """Newest projector per contact mode, and the newest full solution of any mode."""
+
+    def __init__(self, codec: Codec, *, session: int) -> None:
+        super().__init__(codec, session=session)
+        self.newest_solution: CacheEntry | None = None
+        self._entries: dict[ContactMode, CacheEntry] = {}
+
+    def _decode(self, data: bytes) -> ProjectorMessage:
+        return self._codec.decode_projector(data)
+
+    def _take(self, message: ProjectorMessage) -> None:
         for timed in message.projectors:
             entry = CacheEntry(timed, message.sequence, message.stamp_ns)
             if timed.projector.mode is message.mode:
                 entry = replace(entry, tau=message.tau, y=message.y)
                 self.newest_solution = entry
             self.keep(entry)
-        return True
 
     def keep(self, entry: CacheEntry) -> None:
         """Keep an entry unless one from a newer state is there: the faster answer wins."""
@@ -93,3 +125,64 @@ class ProjectorCache:
         if not entry.timed.valid_from_ns <= time_ns < entry.timed.valid_until_ns:
             return None
         return entry
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectorEntry:
+    """A factorisation ready for use, and the state it was computed from."""
+
+    corrector: Corrector
+    sequence: int
+    stamp_ns: int
+    on_board: bool = False
+
+
+class FactorisationCache(AnswerCache):
+    """Newest factorisation per contact mode. It never expires: corrections make up for its age."""
+
+    def __init__(
+        self, codec: Codec, stacks: dict[ContactMode, Stack], *, session: int, level: str
+    ) -> None:
+        super().__init__(codec, session=session)
+        self._stacks = stacks
+        self._level = level
+        self._entries: dict[ContactMode, CorrectorEntry] = {}
+
+    @property
+    def holds(self) -> tuple[int, ...]:
+        return tuple(
+            entry.sequence if (entry := self._entries.get(mode)) is not None else -1
+            for mode in ContactMode
+        )
+
+    def _decode(self, data: bytes) -> FactorisationMessage:
+        return self._codec.decode_factorisations(data)
+
+    def _take(self, message: FactorisationMessage) -> None:
+        self.keep(message.factorisations, sequence=message.sequence, stamp_ns=message.stamp_ns)
+
+    def keep(
+        self,
+        factorisations: tuple[Factorisation, ...],
+        *,
+        sequence: int,
+        stamp_ns: int,
+        on_board: bool = False,
+    ) -> None:
+        """Keep those that are from a newer state; `MessageRefused` if one cannot be used."""
+        try:
+            correctors = [
+                Corrector(self._stacks[each.mode], each, level=self._level)
+                for each in factorisations
+            ]
+        except np.linalg.LinAlgError:
+            raise MessageRefused("not_definite", "P of the forces") from None
+        for corrector in correctors:
+            mode = corrector.factorisation.mode
+            held = self._entries.get(mode)
+            if held is None or sequence > held.sequence:
+                self._entries[mode] = CorrectorEntry(corrector, sequence, stamp_ns, on_board)
+
+    def lookup(self, mode: ContactMode) -> CorrectorEntry | None:
+        """The newest factorisation of a mode, or None."""
+        return self._entries.get(mode)

@@ -1,19 +1,21 @@
 """The local controllers: what the robot does with the newest answer it has.
 
 PR (purely remote) applies the torque of the answer as it came. LA (locally assisted) applies the
-answer's projector to a fresh b, Eq. (4), and recovers the torque with fresh dynamics.
+answer's projector to a fresh b, Eq. (4), and recovers the torque with fresh dynamics. LC (locally
+corrected, `robot_node/corrected.py`) corrects its last solution by the answer's factorisation.
 """
 
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from robot_node.cache import CacheEntry, ProjectorCache
-from shared.errors import ConfigError
+from robot_node.cache import AnswerCache, CacheEntry, ProjectorCache
+from shared.motion.reference import Reference
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.stack import Stack
@@ -21,75 +23,125 @@ from shared.wbc.torque import recover_torque
 
 
 class Source(enum.IntEnum):
-    """Where a command came from: this tick's answer, an older one, the robot's own QP, or none."""
+    """Where a command came from: this tick's answer, an older one as it is, nowhere (the joints are
+    held), the robot's own computer, an older answer corrected, or the same while the robot ends its
+    walk because corrections have become doubtful."""
 
     FRESH = 0
     CACHED = 1
     HELD = 2
     ON_BOARD = 3
+    CORRECTED = 4
+    STOPPING = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Measurement:
-    """What the robot knows in one tick. `b` is the right-hand side of its contact mode."""
+class Decision:
+    """What a controller commands: joint torques `tau` (nv − 6,) [N m] and the solution `y` (n,) of
+    contact mode `mode` they stand for, with its `active_set` as a bit mask. `source` is what it is
+    called if its answer is not to this very state.
 
-    q: np.ndarray
-    v: np.ndarray
-    b: np.ndarray
+    It rests on the answer to the state `sequence`, measured at `stamp_ns`. `contraction` estimates
+    by how much a correction shrinks the error, `staleness` is the largest joint distance [rad]
+    from where the answer was computed; NaN where there is no such thing.
+    """
+
+    tau: np.ndarray
+    y: np.ndarray
+    mode: ContactMode
+    active_set: int
+    source: Source
+    sequence: int
+    stamp_ns: int
+    contraction: float = math.nan
+    staleness: float = math.nan
 
 
 class Controller(Protocol):
-    """From the cache and a fresh measurement to a command."""
+    """From the edge's answers and a fresh measurement to a command."""
 
-    def choose(
-        self, cache: ProjectorCache, mode: ContactMode, *, time_ns: int
-    ) -> CacheEntry | None:
-        """The entry to command from in a contact mode at a task time; None if none may be used."""
+    @property
+    def cache(self) -> AnswerCache:
+        """What takes in the answers."""
         ...
 
-    def command(self, entry: CacheEntry, now: Measurement) -> tuple[np.ndarray, np.ndarray]:
-        """(τ, y): joint torques (nv − 6,) [N m] and the solution (n,) they stand for."""
+    @property
+    def ages(self) -> bool:
+        """Whether an answer is of no use once it is older than `loop.hold_after`."""
+        ...
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the robot should come to a stand while it can."""
+        ...
+
+    def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:
+        """First phase of a tick: what can be computed before its answer comes."""
+        ...
+
+    def command(self, *, time_ns: int) -> Decision | None:
+        """Second phase, at a task time; None if no answer may be used."""
         ...
 
 
 class PurelyRemote:
     """PR: the last torque received, whatever it was computed for."""
 
-    def choose(
-        self, cache: ProjectorCache, mode: ContactMode, *, time_ns: int
-    ) -> CacheEntry | None:
-        return cache.newest_solution
+    ages = True
+    doubtful = False
 
-    def command(self, entry: CacheEntry, now: Measurement) -> tuple[np.ndarray, np.ndarray]:
-        assert entry.tau is not None
-        assert entry.y is not None
-        return entry.tau, entry.y
+    def __init__(self, cache: ProjectorCache) -> None:
+        self.cache = cache
+
+    def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:
+        pass
+
+    def command(self, *, time_ns: int) -> Decision | None:
+        entry = self.cache.newest_solution
+        if entry is None or entry.tau is None or entry.y is None:
+            return None
+        return _decision(entry, entry.tau, entry.y)
 
 
 class LocallyAssisted:
     """LA: ŷ = Â† b with the newest projector of the contact mode and the b of this tick."""
 
-    def __init__(self, model: WholeBodyModel, stacks: dict[ContactMode, Stack]) -> None:
+    ages = True
+    doubtful = False
+
+    def __init__(
+        self, cache: ProjectorCache, model: WholeBodyModel, stacks: dict[ContactMode, Stack]
+    ) -> None:
+        self.cache = cache
         self._model = model
         self._stacks = stacks
+        self._stack: Stack
+        self._q: np.ndarray
+        self._v: np.ndarray
+        self._b: np.ndarray
 
-    def choose(
-        self, cache: ProjectorCache, mode: ContactMode, *, time_ns: int
-    ) -> CacheEntry | None:
-        return cache.lookup(mode, time_ns=time_ns)
+    def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:
+        self._q, self._v = q, v
+        self._stack = self._stacks[reference.mode]
+        self._b = self._stack.right_hand_side(self._model.kinematics(q, v), reference)
 
-    def command(self, entry: CacheEntry, now: Measurement) -> tuple[np.ndarray, np.ndarray]:
-        y = entry.projector.apply(now.b)
-        contacts = self._stacks[entry.projector.mode].contacts
-        return recover_torque(self._model, contacts, now.q, now.v, y), y
+    def command(self, *, time_ns: int) -> Decision | None:
+        entry = self.cache.lookup(self._stack.mode, time_ns=time_ns)
+        if entry is None:
+            return None
+        y = entry.projector.apply(self._b)
+        tau = recover_torque(self._model, self._stack.contacts, self._q, self._v, y)
+        return _decision(entry, tau, y)
 
 
-def make_controller(
-    name: str, model: WholeBodyModel, stacks: dict[ContactMode, Stack]
-) -> Controller:
-    """A controller by its name in the configuration."""
-    if name == "pr":
-        return PurelyRemote()
-    if name == "la":
-        return LocallyAssisted(model, stacks)
-    raise ConfigError(f"controller: expected la or pr, got {name!r}")
+def _decision(entry: CacheEntry, tau: np.ndarray, y: np.ndarray) -> Decision:
+    projector = entry.projector
+    return Decision(
+        tau,
+        y,
+        projector.mode,
+        projector.active_set,
+        Source.ON_BOARD if entry.on_board else Source.CACHED,
+        entry.sequence,
+        entry.stamp_ns,
+    )

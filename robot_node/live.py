@@ -25,11 +25,14 @@ STALE_NS = 250_000_000
 
 @dataclass
 class Progress:
-    """What the loop shows to others, overwritten every tick."""
+    """What the loop shows to others, overwritten every tick.
+
+    `silence_ns` is how old the state is that the edge has answered last.
+    """
 
     time_ns: int = 0
     source: Source = Source.HELD
-    age_ns: int = -1
+    silence_ns: int = -1
     running: bool = False
 
 
@@ -76,7 +79,7 @@ class LiveLoop:
             self._uplink.publish(node.measure(now_ns))
             measured_ns = clock.now_ns()
 
-            if self._round_trip_ns < config.fresh_within_ns:
+            if node.waits_for_answers and self._round_trip_ns < config.fresh_within_ns:
                 sleep_until(ticker.due_ns + config.fresh_within_ns)
             received_ns = clock.now_ns()
             for data in self._inbox.take():
@@ -100,7 +103,8 @@ class LiveLoop:
                 # Overruns while waiting are nobody's; the count begins with the task.
                 task_began_ns, ticker.overruns = ticker.due_ns, 0
             ticker.next(now_ns)
-            self.progress = Progress(node.time_ns, command.source, command.age_ns, node.running)
+            silence_ns = now_ns - node.cache.newest_stamp_ns
+            self.progress = Progress(node.time_ns, command.source, silence_ns, node.running)
         self.wall_seconds = (clock.now_ns() - task_began_ns) * 1e-9
 
     def _check_timeout(self, waited_ns: int) -> None:
@@ -133,26 +137,27 @@ class Narrator:
         self._thread.join(timeout=1.0)
 
     def _watch(self) -> None:
-        running, stale_since, holding = False, 0.0, False
+        running, stale_since, holding, stopping = False, 0.0, False, False
         while not self._done.wait(self._PERIOD_SECONDS):
             progress = self._loop.progress
             if not progress.running:
                 continue
             if not running:
                 running = True
-                self._say("first projector received: the task begins")
+                self._say("first answer received: the task begins")
             at = f"{progress.time_ns * 1e-9:.2f} s"
-            if progress.age_ns > STALE_NS and not stale_since:
+            if progress.silence_ns > STALE_NS and not stale_since:
                 stale_since = time.monotonic()
                 self._say(
-                    f"{at}: no projector for {progress.age_ns * 1e-6:.0f} ms, link stalled or edge "
-                    "lost; balancing on the cache"
+                    f"{at}: no answer for {progress.silence_ns * 1e-6:.0f} ms, link stalled or "
+                    "edge lost; going on with the cache"
                 )
-            elif 0 <= progress.age_ns <= STALE_NS and stale_since:
-                self._say(
-                    f"{at}: new projectors again after {time.monotonic() - stale_since:.2f} s"
-                )
+            elif progress.silence_ns <= STALE_NS and stale_since:
+                self._say(f"{at}: new answers again after {time.monotonic() - stale_since:.2f} s")
                 stale_since = 0.0
             if (progress.source is Source.HELD) != holding:
                 holding = not holding
                 self._say(f"{at}: {'holding the joints' if holding else 'joints released'}")
+            if progress.source is Source.STOPPING and not stopping:
+                stopping = True
+                self._say(f"{at}: corrections are doubtful: ending the walk")

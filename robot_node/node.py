@@ -15,11 +15,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_node.cache import CacheEntry, ProjectorCache
-from robot_node.controllers import Measurement, Source, make_controller
-from robot_node.onboard import ModelledComputer, OnBoardComputer, OnBoardWindow
+from robot_node.cache import AnswerCache, FactorisationCache, ProjectorCache
+from robot_node.controllers import Controller, Decision, LocallyAssisted, PurelyRemote, Source
+from robot_node.corrected import LocallyCorrected
+from robot_node.onboard import (
+    ModelledComputer,
+    OnBoard,
+    OnBoardComputer,
+    OnBoardRefresh,
+    OnBoardWindow,
+    on_board_solve,
+)
 from robot_node.plant import Plant
-from robot_node.safety import JointHold, TorqueGuard, has_fallen
+from robot_node.safety import JointHold, RungChange, TorqueGuard, has_fallen
 from robot_node.sensors import Sensors
 from shared.bus.base import new_session
 from shared.config import RunConfig
@@ -28,29 +36,29 @@ from shared.quantities import parse_push
 from shared.robots import Foot, Robot
 from shared.telemetry import Schema, tick_schema
 from shared.wbc.contacts import ContactMode
-from shared.wbc.model import Kinematics, WholeBodyModel
+from shared.wbc.model import WholeBodyModel
 from shared.wbc.stack import Stack
-from shared.wbc.whole_body import WholeBodyController
 from shared.wire.codec import Codec
 from shared.wire.messages import RobotState
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """The torque of one tick (nv − 6,) [N m], clamped; the solution behind it, if there is one.
+    """The torque of one tick (nv − 6,) [N m], clamped; the decision behind it, if there is one.
 
-    `entry` is the cache's that it came from; `age_ns` the time since its state was measured.
+    `age_ns` is the time since the state was measured that the decision's answer was computed from.
     """
 
     tau: np.ndarray
-    y: np.ndarray | None
     source: Source
     age_ns: int
-    entry: CacheEntry | None
+    decision: Decision | None
 
 
 def needs_on_board_computer(config: RunConfig, motion: Motion) -> bool:
-    """Whether this run solves QPs on the robot: with LA, around contact switches."""
+    """Whether this run computes on the robot: LA around contact switches, LC if it has a budget."""
+    if config.controller == "lc":
+        return config.correction.on_board_budget > 0.0
     switch = config.switch
     wanted = switch.prepare_on_board or switch.solve_on_board
     return config.controller == "la" and wanted and motion.next_switch(0) is not None
@@ -82,35 +90,41 @@ class RobotNode:
         self._sensors = Sensors(config.sensors, seed=config.seed)
         self._model = WholeBodyModel(robot)
         self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
-        self._controller = make_controller(config.controller, self._model, self._stacks)
         self._session = new_session() if session is None else session
         self._codec = Codec(robot, config, motion)
-        self.cache = ProjectorCache(self._codec, session=self._session)
-        self.on_board: OnBoardWindow | None = None
+        self._controller = self._make_controller()
+        self.cache: AnswerCache = self._controller.cache
+        self.on_board: OnBoard | None = None
         if needs_on_board_computer(config, motion):
             if computer is None:
-                solver = WholeBodyController(robot, config.wbc, motion)
                 ready_after_ns = config.switch.ready_after_ns(config.switch.compute_ns)
-                computer = ModelledComputer(solver, ready_after_ns=ready_after_ns)
-            self.on_board = OnBoardWindow(config.switch, motion, computer)
+                solve = on_board_solve(robot, config, motion)
+                computer = ModelledComputer(solve, ready_after_ns=ready_after_ns)
+            self.on_board = self._make_on_board(computer)
         self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
+        self._rung_change = RungChange(self._guard)
+        self._last_rung = Source.HELD
         self._hold = JointHold(robot)
         self._hold_after_ns = config.loop.hold_after * 1e9
         self._standing_com_height = float(motion.reference(0).com[2])
         self._measured_ns = 0
+        self._stopping = False
         self._set_down: dict[Foot, np.ndarray] = {}
-        self._measurement: Measurement
-        self._kinematics: Kinematics
+        self._q: np.ndarray
+        self._v: np.ndarray
         self._reference: Reference
 
+    @property
+    def waits_for_answers(self) -> bool:
+        """Whether every state is answered, so that waiting d* for it may be worth it."""
+        return self._controller.ages
+
     def measure(self, now_ns: int) -> bytes:
-        """First phase: sense, form b, and return the state message to send."""
+        """First phase: sense, observe, and return the state message to send."""
         q, v = self._sensors.measure(*self._plant.state())
+        self._q, self._v = q, v
         self._reference = self._motion.reference(self.time_ns)
-        mode = self._reference.mode
-        self._kinematics = self._model.kinematics(q, v)
-        b = self._stacks[mode].right_hand_side(self._kinematics, self._reference)
-        self._measurement = Measurement(q, v, b)
+        self._controller.observe(q, v, self._reference)
         self._measured_ns = now_ns
         return self._codec.encode_state(
             RobotState(
@@ -118,9 +132,10 @@ class RobotNode:
                 sequence=self.tick,
                 stamp_ns=now_ns,
                 time_ns=self.time_ns,
-                mode=mode,
+                mode=self._reference.mode,
                 q=q,
                 v=v,
+                holds=self.cache.holds,
             )
         )
 
@@ -130,23 +145,23 @@ class RobotNode:
 
     def command(self, now_ns: int) -> Command:
         """Second phase: the torque of this tick, Eq. (7)."""
-        mode = self._reference.mode
         self._solve_on_board()
-        entry = self._controller.choose(self.cache, mode, time_ns=self.time_ns)
-        if entry is None:
+        decision = self._controller.command(time_ns=self.time_ns)
+        if decision is None:
             return self._held(age_ns=-1)
-        age_ns = now_ns - entry.stamp_ns
-        if age_ns > self._hold_after_ns:
+        age_ns = now_ns - decision.stamp_ns
+        if self._controller.ages and age_ns > self._hold_after_ns:
             return self._held(age_ns=age_ns)
-        tau, y = self._controller.command(entry, self._measurement)
-        safe = self._guard.accept(tau)
+        safe = self._guard.accept(decision.tau)
         if safe is None:
             return self._held(age_ns=age_ns)
-        self._hold.observe(self._measurement.q, safe)
-        source = Source.FRESH if entry.sequence == self.tick else Source.CACHED
-        if entry.on_board:
-            source = Source.ON_BOARD
-        return Command(safe, y, source, age_ns, entry)
+        self._hold.observe(self._q, safe)
+        source = Source.FRESH if decision.sequence == self.tick else decision.source
+        if self._stopping and source is not Source.CACHED:
+            source = Source.STOPPING
+        if self._controller.doubtful:
+            self._stop_walking()
+        return Command(self._bounded(safe, source), source, age_ns, decision)
 
     def advance(self, command: Command) -> None:
         """Move the plant by one period; before the first answer, only count the tick."""
@@ -165,7 +180,8 @@ class RobotNode:
         q, v = self._plant.state()
         com, soles = self._model.com_and_soles(q)
         row[columns["tick"]] = self.tick
-        row[columns["time_ns"]] = self.time_ns if self.running or command.y is not None else -1
+        in_task = self.running or command.decision is not None
+        row[columns["time_ns"]] = self.time_ns if in_task else -1
         row[columns["wall_ns"]] = self._measured_ns
         row[columns["source"]] = command.source
         row[columns["mode"]] = self._reference.mode
@@ -177,17 +193,21 @@ class RobotNode:
         error = com - self._reference.com
         row[columns["com_error_m"]] = math.sqrt(error @ error)
         row[columns["contact_violation_m_s2"]] = np.nan
-        entry = command.entry
-        if command.y is not None and entry is not None:
+        decision = command.decision
+        row[columns["contraction"]] = row[columns["staleness_rad"]] = np.nan
+        row[columns["projector_sequence"]] = row[columns["active_set"]] = -1
+        if decision is not None:
             forces = row[columns["f"]].reshape(len(Foot), -1)
-            loaded = list(entry.projector.mode.feet_indices)
-            forces[loaded] = command.y[self._model.nv :].reshape(len(loaded), -1)
-            row[columns["contact_violation_m_s2"]] = self._contact_violation(command.y)
+            loaded = list(decision.mode.feet_indices)
+            forces[loaded] = decision.y[self._model.nv :].reshape(len(loaded), -1)
+            row[columns["contact_violation_m_s2"]] = self._contact_violation(decision.y)
+            row[columns["projector_sequence"]] = decision.sequence
+            row[columns["active_set"]] = decision.active_set
+            row[columns["contraction"]] = decision.contraction
+            row[columns["staleness_rad"]] = decision.staleness
         row[columns["push_n"]] = self._push()
         row[columns["foot_slip_m"]] = self._foot_slips(soles)
         row[columns["projector_age_ns"]] = command.age_ns
-        row[columns["projector_sequence"]] = -1 if entry is None else entry.sequence
-        row[columns["active_set"]] = -1 if entry is None else entry.projector.active_set
         row[columns["on_board_qps"]] = 0 if self.on_board is None else self.on_board.solves
         row[columns["refused"]] = self.cache.refused.total_refused
         self.fallen = has_fallen(
@@ -197,23 +217,36 @@ class RobotNode:
     def _solve_on_board(self) -> None:
         if self.on_board is None or not self.running:
             return
-        now = self._measurement
-        solved = self.on_board.tick(
-            now.q,
-            now.v,
+        self.on_board.tick(
+            self._q,
+            self._v,
             time_ns=self.time_ns,
             sequence=self.tick,
             stamp_ns=self._measured_ns,
         )
-        if solved is not None:
-            self.cache.keep(solved)
+
+    def _stop_walking(self) -> None:
+        """End a walk with the step that follows this one; once."""
+        if not self._stopping:
+            self._stopping = True
+            self._motion = self._motion.stopped(self.time_ns)
+
+    def _bounded(self, tau: np.ndarray, source: Source) -> np.ndarray:
+        """The torque without a jump where a correcting robot goes to another rung of its ladder.
+
+        Fresh, corrected and on-board answers are one rung: they meet in the same solution.
+        """
+        if not self.running or self._controller.ages:
+            return tau
+        rung = source if source in (Source.HELD, Source.CACHED) else Source.FRESH
+        changed, self._last_rung = rung is not self._last_rung, rung
+        return self._rung_change.bound(tau, changed=changed)
 
     def _held(self, *, age_ns: int) -> Command:
-        now = self._measurement
-        tau = self._guard.accept(self._hold.torque(now.q, now.v))
+        tau = self._guard.accept(self._hold.torque(self._q, self._v))
         if tau is None:
             tau = np.zeros_like(self._guard.limit)
-        return Command(tau, None, Source.HELD, age_ns, None)
+        return Command(self._bounded(tau, Source.HELD), Source.HELD, age_ns, None)
 
     def _push(self) -> np.ndarray:
         force = np.zeros(3)
@@ -236,8 +269,30 @@ class RobotNode:
         return slips
 
     def _contact_violation(self, y: np.ndarray) -> float:
-        now = self._measurement
         stack = self._stacks[self._reference.mode]
-        a = y[: self._model.nv]
-        acceleration = self._model.sole_acceleration(stack.support_foot, now.q, now.v, a)
-        return stack.contact_violation(self._kinematics, acceleration)
+        velocity, acceleration = self._model.sole_motion(
+            stack.support_foot, self._q, self._v, y[: self._model.nv]
+        )
+        return stack.contact_violation(velocity, acceleration)
+
+    def _make_on_board(self, computer: OnBoardComputer) -> OnBoard:
+        controller = self._controller
+        if isinstance(controller, LocallyCorrected):
+            return OnBoardRefresh(
+                self._config, computer, controller.cache, lambda: controller.wants_refresh
+            )
+        assert isinstance(self.cache, ProjectorCache)
+        return OnBoardWindow(self._config.switch, self._motion, computer, self.cache)
+
+    def _make_controller(self) -> Controller:
+        name, codec, session = self._config.controller, self._codec, self._session
+        if name == "pr":
+            return PurelyRemote(ProjectorCache(codec, session=session))
+        if name == "la":
+            cache = ProjectorCache(codec, session=session)
+            return LocallyAssisted(cache, self._model, self._stacks)
+        correction = self._config.correction
+        factorisations = FactorisationCache(
+            codec, self._stacks, session=session, level=correction.level
+        )
+        return LocallyCorrected(factorisations, self._model, self._stacks, correction)

@@ -8,18 +8,40 @@ the edge's in the cache, and the newer state wins.
 
 from __future__ import annotations
 
-from typing import Protocol
+import contextlib
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 
-from robot_node.cache import CacheEntry
-from shared.config import SwitchConfig
+from robot_node.cache import CacheEntry, FactorisationCache, ProjectorCache
+from shared.config import RunConfig, SwitchConfig
+from shared.errors import MessageRefused
 from shared.motion.reference import Motion, coming_switches
+from shared.robots import Robot
+from shared.wbc.correction import Factorisation
 from shared.wbc.whole_body import TimedProjector, WholeBodyController
+
+# What an on-board computer computes at (q, v) for a task time: a projector, or factorisations.
+Solve = Callable[[np.ndarray, np.ndarray, int], Any]
+
+
+def on_board_solve(robot: Robot, config: RunConfig, motion: Motion) -> Solve:
+    """What the on-board computer of this run is for, wherever it runs."""
+    controller = WholeBodyController(robot, config.wbc, motion)
+
+    def project(q: np.ndarray, v: np.ndarray, time_ns: int) -> TimedProjector | None:
+        return controller.projector_for(q, v, time_ns=time_ns)
+
+    def factorise(q: np.ndarray, v: np.ndarray, time_ns: int) -> tuple[Factorisation, ...] | None:
+        mode = motion.reference(time_ns).mode
+        return controller.factorise(q, (mode,), damping=config.correction.damping)
+
+    return factorise if config.controller == "lc" else project
 
 
 class OnBoardComputer(Protocol):
-    """Solves one QP at a time, beside the control loop."""
+    """Solves one problem at a time, beside the control loop."""
 
     def start(self, q: np.ndarray, v: np.ndarray, *, now_ns: int, for_ns: int) -> None:
         """Begin at task time `now_ns` to solve at (q, v) for the contact mode of `for_ns`."""
@@ -29,8 +51,8 @@ class OnBoardComputer(Protocol):
         """Whether the solution begun last is ready."""
         ...
 
-    def take(self) -> TimedProjector | None:
-        """That solution; None if the QP had none."""
+    def take(self) -> Any:
+        """That solution; None if there is none."""
         ...
 
     def close(self) -> None:
@@ -41,31 +63,57 @@ class OnBoardComputer(Protocol):
 class ModelledComputer:
     """Solves at once and calls it ready `ready_after_ns` of task time later: repeatable."""
 
-    def __init__(self, controller: WholeBodyController, *, ready_after_ns: int) -> None:
-        self._controller = controller
+    def __init__(self, solve: Solve, *, ready_after_ns: int) -> None:
+        self._solve = solve
         self._ready_after_ns = ready_after_ns
         self._ready_ns = 0
-        self._solution: TimedProjector | None = None
+        self._solution: Any = None
 
     def start(self, q: np.ndarray, v: np.ndarray, *, now_ns: int, for_ns: int) -> None:
         self._ready_ns = now_ns + self._ready_after_ns
-        self._solution = self._controller.projector_for(q, v, time_ns=for_ns)
+        self._solution = self._solve(q, v, for_ns)
 
     def finished(self, now_ns: int) -> bool:
         return now_ns >= self._ready_ns
 
-    def take(self) -> TimedProjector | None:
+    def take(self) -> Any:
         return self._solution
 
     def close(self) -> None:
         pass
 
 
+class OnBoard(Protocol):
+    """When the robot's own computer works, and what becomes of its answers."""
+
+    @property
+    def solves(self) -> int:
+        """Problems begun so far."""
+        ...
+
+    def tick(
+        self, q: np.ndarray, v: np.ndarray, *, time_ns: int, sequence: int, stamp_ns: int
+    ) -> None:
+        """Put into the cache what has become ready; start what is due from the state (q, v)."""
+        ...
+
+    def close(self) -> None:
+        """End the computer."""
+        ...
+
+
 class OnBoardWindow:
     """Decides what to solve when, and hands it over when it is ready."""
 
-    def __init__(self, config: SwitchConfig, motion: Motion, computer: OnBoardComputer) -> None:
+    def __init__(
+        self,
+        config: SwitchConfig,
+        motion: Motion,
+        computer: OnBoardComputer,
+        cache: ProjectorCache,
+    ) -> None:
         self.solves = 0
+        self._cache = cache
         self._config = config
         self._motion = motion
         self._computer = computer
@@ -80,27 +128,25 @@ class OnBoardWindow:
 
     def tick(
         self, q: np.ndarray, v: np.ndarray, *, time_ns: int, sequence: int, stamp_ns: int
-    ) -> CacheEntry | None:
-        """Start what is due at a task time from the state (q, v); return what has become ready."""
-        entry = self._finished(time_ns)
+    ) -> None:
+        self._finish(time_ns)
         if self._under_way is None and (for_ns := self._due(time_ns)) is not None:
             self._computer.start(q, v, now_ns=time_ns, for_ns=for_ns)
             self._under_way = (sequence, stamp_ns)
             self.solves += 1
-            entry = self._finished(time_ns) or entry
-        return entry
+            self._finish(time_ns)
 
     def close(self) -> None:
-        """End the computer."""
         self._computer.close()
 
-    def _finished(self, time_ns: int) -> CacheEntry | None:
+    def _finish(self, time_ns: int) -> None:
         if self._under_way is None or not self._computer.finished(time_ns):
-            return None
+            return
         sequence, stamp_ns = self._under_way
         self._under_way = None
         timed = self._computer.take()
-        return None if timed is None else CacheEntry(timed, sequence, stamp_ns, on_board=True)
+        if timed is not None:
+            self._cache.keep(CacheEntry(timed, sequence, stamp_ns, on_board=True))
 
     def _due(self, time_ns: int) -> int | None:
         """The task time to solve for now: a coming switch, this moment, or None."""
@@ -137,3 +183,51 @@ class OnBoardWindow:
             self._last_switch_ns = switches[0]
             return True
         return 0 <= time_ns - self._last_switch_ns <= half_ns
+
+
+class OnBoardRefresh:
+    """Factorises on board when corrections shrink the error too little, within a budget of time.
+
+    `wanted` says whether a new factorisation of the present contact mode would help.
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        computer: OnBoardComputer,
+        cache: FactorisationCache,
+        wanted: Callable[[], bool],
+    ) -> None:
+        self.solves = 0
+        self._computer = computer
+        self._cache = cache
+        self._wanted = wanted
+        ready_after_ns = config.switch.ready_after_ns(config.switch.compute_ns)
+        self._pause_ns = ready_after_ns / config.correction.on_board_budget
+        self._under_way: tuple[int, int] | None = None
+        self._next_start_ns = 0.0
+
+    def tick(
+        self, q: np.ndarray, v: np.ndarray, *, time_ns: int, sequence: int, stamp_ns: int
+    ) -> None:
+        if self._under_way is not None and self._computer.finished(time_ns):
+            started, stamp = self._under_way
+            self._under_way = None
+            factorisations = self._computer.take()
+            if factorisations is not None:
+                self._keep(factorisations, started, stamp)
+        if self._under_way is None and time_ns >= self._next_start_ns and self._wanted():
+            self._computer.start(q, v, now_ns=time_ns, for_ns=time_ns)
+            self._under_way = (sequence, stamp_ns)
+            self._next_start_ns = time_ns + self._pause_ns
+            self.solves += 1
+
+    def close(self) -> None:
+        self._computer.close()
+
+    def _keep(
+        self, factorisations: tuple[Factorisation, ...], sequence: int, stamp_ns: int
+    ) -> None:
+        # One that cannot be used is as good as none.
+        with contextlib.suppress(MessageRefused):
+            self._cache.keep(factorisations, sequence=sequence, stamp_ns=stamp_ns, on_board=True)

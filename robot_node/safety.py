@@ -33,6 +33,31 @@ class TorqueGuard:
         return np.minimum(np.maximum(tau, -self.limit), self.limit)
 
 
+class RungChange:
+    """Bounds the torque step when the robot changes the rung of its ladder.
+
+    From there on each joint moves by at most a tenth of its limit per tick, until it has caught up
+    with what is commanded.
+    """
+
+    _STEP = 0.1
+
+    def __init__(self, guard: TorqueGuard) -> None:
+        self._step = self._STEP * guard.limit
+        self._last: np.ndarray | None = None
+        self._following = True
+
+    def bound(self, tau: np.ndarray, *, changed: bool) -> np.ndarray:
+        """The torque to apply (nv − 6,) [N m]; `changed` in the first tick on another rung."""
+        if self._last is not None and (changed or not self._following):
+            moved = np.minimum(np.maximum(tau - self._last, -self._step), self._step)
+            bounded = self._last + moved
+            self._following = bool(np.array_equal(bounded, tau))
+            tau = tau if self._following else bounded
+        self._last = tau
+        return tau
+
+
 class JointHold:
     """Holds the joints where they were when it was entered, around the torque applied then.
 

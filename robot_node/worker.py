@@ -11,12 +11,13 @@ from __future__ import annotations
 import multiprocessing
 import time
 from multiprocessing.connection import Connection
+from typing import Any
 
 import numpy as np
 
+from robot_node.onboard import on_board_solve
 from shared.config import RunConfig
 from shared.errors import LinkError
-from shared.wbc.whole_body import TimedProjector
 
 _START_SECONDS = 30.0
 # Between the shim and the edge: it is a computer of the robot's, but its work is not a tick's.
@@ -42,12 +43,11 @@ class WorkerComputer:
     def finished(self, now_ns: int) -> bool:
         return self._pipe.poll()
 
-    def take(self) -> TimedProjector | None:
+    def take(self) -> Any:
         try:
-            solution: TimedProjector | None = self._pipe.recv()
+            return self._pipe.recv()
         except (EOFError, OSError):
             return None
-        return solution
 
     def close(self) -> None:
         self._pipe.close()
@@ -64,20 +64,19 @@ def _serve(pipe: Connection, config: RunConfig) -> None:
     from shared.motion.plan import make_motion
     from shared.realtime import prepare, suspend_garbage_collection
     from shared.robots import load_robot
-    from shared.wbc.whole_body import WholeBodyController
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     robot = load_robot(config.robot.name)
     motion = make_motion(robot, config)
-    controller = WholeBodyController(robot, config.wbc, motion)
+    solve = on_board_solve(robot, config, motion)
     prepare(priority=_PRIORITY)
     suspend_garbage_collection()
     pipe.send("ready")
     try:
         while True:
-            q, v, for_ns = pipe.recv()
+            q, v, time_ns = pipe.recv()
             began_ns, used_ns = time.monotonic_ns(), time.thread_time_ns()
-            solution = controller.projector_for(q, v, time_ns=for_ns)
+            solution = solve(q, v, time_ns)
             used_ns = time.thread_time_ns() - used_ns
             sleep_until(began_ns + config.switch.ready_after_ns(used_ns))
             pipe.send(solution)

@@ -47,6 +47,12 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--noise", type=float, help="standard deviation of joint positions [rad]")
     group.add_argument("--loss", type=float, help="probability of losing a message, each way")
+    group.add_argument(
+        "--outage",
+        action="append",
+        metavar="389ms@1.2s",
+        help="nothing passes the link for so long from then on; cut@4s: for ever; repeatable",
+    )
     walk = parser.add_argument_group("the walk (with --task walk)")
     walk.add_argument("--steps", type=int, help="how many; the last brings the feet together")
     walk.add_argument("--step-length", type=float, help="[m], negative: backward")
@@ -78,6 +84,7 @@ _KEYS = {
     "network": "link.network",
     "loss": "link.loss",
     "noise": "sensors.joint_position_noise",
+    "outage": "link.outage",
 }
 _WALK_KEYS = {
     name: f"walk.{name}"

@@ -11,12 +11,22 @@ import math
 from dataclasses import dataclass, field
 
 from shared.errors import ConfigError
-from shared.quantities import parse_push
+from shared.quantities import parse_outage, parse_push
 
 TASKS = ("balance", "walk")
-CONTROLLERS = ("la", "pr")
+CONTROLLERS = ("la", "lc", "pr")
+CORRECTION_LEVELS = ("b", "b_adjoint", "c")
 COM_PLANS = ("dcm", "mpc")
 VIEWS = ("auto", "native", "web", "off")
+
+
+# Infinite means never.
+_MAY_BE_INFINITE = (
+    "loop.hold_after",
+    "correction.refresh_distance",
+    "correction.stop_above",
+    "correction.give_up_above",
+)
 
 
 @dataclass(frozen=True)
@@ -99,12 +109,14 @@ class LinkConfig:
     """The emulated link. `network` is a profile name, a file, `constant:30ms` or `direct`.
 
     `loss` is an independent loss probability per message, each way. `keep_order` holds a message
-    back until those sent before it have left, as a radio link layer does.
+    back until those sent before it have left, as a radio link layer does. In an `outage`, of the
+    link's own time, nothing passes: what is sent then waits for its end.
     """
 
     network: str = "factory/001"
     loss: float = 0.0
     keep_order: bool = True
+    outage: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -173,6 +185,41 @@ class SwitchConfig:
 
 
 @dataclass(frozen=True)
+class CorrectionConfig:
+    """The locally corrected controller.
+
+    `level` is what is exact in a correction: `b` the constraints, `b_adjoint` their gradient too,
+    `c` everything. `iterations` per tick, none for a stale optimum with a fresh active set;
+    `iterations_at_switch` in the first tick of a contact mode. `damping` is added to the Hessian
+    that the edge factorises, for level c far from its state.
+
+    The edge factorises the present contact mode and the next one again when a joint is
+    `refresh_distance` [rad] away from where it was, and sends again every `retry_ns` what the robot
+    does not say it holds, or a sign of life. `posture_error` moves every joint that far, in a
+    direction that the seed draws, before it factorises [rad]: how wrong may a factorisation be?
+    `relaxation` is the part of a correction that is applied.
+
+    The contraction estimate decides on which rung the robot stands. Above `refresh_above` the
+    on-board computer factorises, if `on_board_budget`, the part of its time for that, is not zero;
+    above `stop_above` a walk ends with the step; above `give_up_above` the stale optimum is used
+    without a correction.
+    """
+
+    level: str = "b"
+    iterations: int = 1
+    iterations_at_switch: int = 3
+    damping: float = 0.0
+    refresh_distance: float = 0.1
+    retry_ns: int = 100_000_000
+    posture_error: float = 0.0
+    relaxation: float = 1.0
+    on_board_budget: float = 0.0
+    refresh_above: float = 0.5
+    stop_above: float = 0.8
+    give_up_above: float = 1.0
+
+
+@dataclass(frozen=True)
 class RunConfig:
     """One run, complete: the same file and seed give the same run."""
 
@@ -186,6 +233,7 @@ class RunConfig:
     wbc: WbcConfig = field(default_factory=WbcConfig)
     walk: WalkConfig = field(default_factory=WalkConfig)
     switch: SwitchConfig = field(default_factory=SwitchConfig)
+    correction: CorrectionConfig = field(default_factory=CorrectionConfig)
     plant: PlantConfig = field(default_factory=PlantConfig)
     sensors: SensorConfig = field(default_factory=SensorConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
@@ -197,6 +245,7 @@ class RunConfig:
         _one_of("controller", self.controller, CONTROLLERS)
         _one_of("view", self.view, VIEWS)
         _one_of("walk.com_plan", self.walk.com_plan, COM_PLANS)
+        _one_of("correction.level", self.correction.level, CORRECTION_LEVELS)
         _one_of("wire.projector_dtype", self.wire.projector_dtype, ("float32", "float64"))
         gains, weights = self.wbc.gains, self.wbc.weights
         for name, value, low in (
@@ -220,17 +269,38 @@ class RunConfig:
             ("switch.period_ns", self.switch.period_ns, 1_000_000),
             ("switch.compute_ns", self.switch.compute_ns, 0),
             ("switch.compute_time_scale", self.switch.compute_time_scale, 0.0),
+            ("correction.iterations", self.correction.iterations, 0),
+            ("correction.iterations_at_switch", self.correction.iterations_at_switch, 0),
+            ("correction.damping", self.correction.damping, 0.0),
+            ("correction.refresh_distance", self.correction.refresh_distance, 0.0),
+            ("correction.posture_error", self.correction.posture_error, 0.0),
+            *(
+                (f"correction.{name}", getattr(self.correction, name), 0.0)
+                for name in (
+                    "relaxation",
+                    "on_board_budget",
+                    "refresh_above",
+                    "stop_above",
+                    "give_up_above",
+                )
+            ),
+            ("correction.retry_ns", self.correction.retry_ns, 1_000_000),
             ("plant.friction", self.plant.friction, 1e-3),
             ("loop.connect_timeout", self.loop.connect_timeout, 0.0),
             ("loop.hold_after", self.loop.hold_after, 0.0),
             ("loop.edge_compute_ns", self.loop.edge_compute_ns, 0),
             ("link.loss", self.link.loss, 0.0),
         ):
-            # Only the age limit may be infinite, which means never.
-            if not (value >= low and (math.isfinite(value) or name == "loop.hold_after")):
+            finite = math.isfinite(value) or name in _MAY_BE_INFINITE
+            if not (value >= low and finite):
                 raise ConfigError(f"{name}: expected a number ≥ {low:g}, got {value!r}")
         if not self.link.loss < 1.0:
             raise ConfigError(f"link.loss: expected a probability below 1, got {self.link.loss}")
+        if not self.correction.on_board_budget <= 1.0:
+            raise ConfigError(
+                "correction.on_board_budget: expected a part of the on-board computer's time, at "
+                f"most 1, got {self.correction.on_board_budget}"
+            )
         if not self.duration < 1e6:
             raise ConfigError(f"duration: expected less than 1e6 s, got {self.duration}")
         if self.loop.period_ns != 1_000_000:
@@ -247,6 +317,8 @@ class RunConfig:
             )
         for push in self.push:
             parse_push(push)
+        for outage in self.link.outage:
+            parse_outage(outage)
 
     @property
     def digest(self) -> bytes:

@@ -50,6 +50,32 @@ def parse_push(text: str) -> Push:
     return Push((force[0], force[1], force[2]), round(start * 1e9), round(duration * 1e9))
 
 
+@dataclass(frozen=True)
+class Outage:
+    """A span of the link's time in which nothing passes; `duration_ns` None: it never ends."""
+
+    start_ns: int
+    duration_ns: int | None
+
+    def begun(self, time_ns: int) -> bool:
+        """Whether it acts on a message sent at `time_ns`."""
+        end_ns = math.inf if self.duration_ns is None else self.start_ns + self.duration_ns
+        return self.start_ns <= time_ns < end_ns
+
+
+def parse_outage(text: str) -> Outage:
+    """`389ms@1.2s` → nothing passes for 389 ms from 1.2 s on; `cut@4s` → from 4 s on, for ever."""
+    duration, _, start = text.strip().partition("@")
+    try:
+        return Outage(
+            parse_duration_ns(start), None if duration == "cut" else parse_duration_ns(duration)
+        )
+    except ConfigError:
+        raise ConfigError(
+            f"outage: expected DURATION@START as in 389ms@1.2s, or cut@4s, got {text!r}"
+        ) from None
+
+
 def parse_duration_ns(text: str) -> int:
     """`30ms`, `1.5s` or `800us` → nanoseconds."""
     match = re.fullmatch(r"([0-9]*\.?[0-9]+)(us|ms|s)", text.strip())

@@ -20,7 +20,7 @@ from shared.metrics import (
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema
 
 DIRECTIONS = ("uplink", "downlink")
-SOURCES = ("fresh", "cached", "held", "on_board")
+SOURCES = ("fresh", "cached", "held", "on_board", "corrected", "stopping")
 _PACKAGES = (
     "eclipse-zenoh",
     "pin",
@@ -115,7 +115,11 @@ def link_report(rows: np.ndarray, *, profile: str, passes: int) -> dict[str, Any
         nominal = LINK_SCHEMA.column(way, "nominal_ns")
         achieved = LINK_SCHEMA.column(way, "achieved_ns")
         passed = achieved >= 0
+        sent_ns = LINK_SCHEMA.column(rows, "wall_ns")
+        seconds = float(np.ptp(sent_ns)) * 1e-9 if len(rows) else 0.0
+        n_bytes = float(LINK_SCHEMA.column(way, "bytes").sum())
         report["link"][name] = {
+            "bytes_per_second": round(n_bytes / seconds, 1) if seconds > 0.0 else None,
             "dropped_by_profile": int(np.sum(~passed)),
             "bytes_per_message": quantiles(LINK_SCHEMA.column(way, "bytes")),
             "nominal_delay_ms": quantiles(nominal[passed] * 1e-6),
@@ -157,7 +161,8 @@ def summary(
         "edge_solve_ms": quantiles(np.empty(0)),
         "active_set_discrepancy": {"mean": mean(discrepancy), **quantiles(discrepancy)},
         "link": {
-            name: {**unknown, "delay_error_ms": quantiles(np.empty(0))} for name in DIRECTIONS
+            name: {**unknown, "bytes_per_second": None, "delay_error_ms": quantiles(np.empty(0))}
+            for name in DIRECTIONS
         },
     }
     return {**merge(skeleton, robot, edge, link), "versions": versions()}
@@ -198,8 +203,8 @@ def summary_in_words(summary: dict[str, Any]) -> str:
         error = way["delay_error_ms"]
         lines.append(
             f"  {name}: {way['sent']} sent, {way['received']} received, {way['lost']} lost, "
-            f"{refused} refused; delay error p50 {_number(error['p50'], 'ms')}, "
-            f"p99 {_number(error['p99'], 'ms')}"
+            f"{refused} refused{_rate(way['bytes_per_second'])}; delay error p50 "
+            f"{_number(error['p50'], 'ms')}, p99 {_number(error['p99'], 'ms')}"
         )
     lines += [
         f"  robot tick p50 {_number(tick['p50'], 'ms')}, p99 {_number(tick['p99'], 'ms')}; "
@@ -207,6 +212,10 @@ def summary_in_words(summary: dict[str, Any]) -> str:
         f"  overruns {summary['overruns']}; {summary['realtime_factor']} × real time",
     ]
     return "\n".join(lines)
+
+
+def _rate(bytes_per_second: float | None) -> str:
+    return "" if bytes_per_second is None else f", {bytes_per_second / 1e6:.3f} MB/s"
 
 
 def _number(value: float | None, unit: str, scale: float = 1.0, *, digits: int = 2) -> str:

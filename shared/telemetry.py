@@ -53,6 +53,7 @@ class Schema:
 # `foot_slip_m` of the left and right foot since it was loaded, NaN in the air. `active_set` and
 # `projector_sequence` are those of the command's projector: its bit mask (`Projector.active_set`)
 # and the tick whose state it came from; −1 if none. `on_board_qps`: QPs begun on board so far.
+# `contraction`, `staleness_rad`: as in `robot_node.controllers.Decision`, NaN if not corrected.
 def tick_schema(*, nq: int, nv: int) -> Schema:
     """Schema of a robot's telemetry."""
     return Schema(
@@ -75,6 +76,8 @@ def tick_schema(*, nq: int, nv: int) -> Schema:
         Column("projector_sequence", kind="int64"),
         Column("active_set", kind="int64"),
         Column("on_board_qps", kind="int64"),
+        Column("contraction"),
+        Column("staleness_rad"),
         Column("tick_ns", kind="int64"),
         Column("late_ns", kind="int64"),
         Column("overruns", kind="int64"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import msgpack
@@ -11,9 +11,15 @@ import numpy as np
 
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
+from shared.wbc.correction import Factorisation
 from shared.wbc.projector import Projector
 from shared.wbc.stack import Stack
-from shared.wire.messages import ProjectorMessage, RobotState, TimedProjector
+from shared.wire.messages import (
+    FactorisationMessage,
+    ProjectorMessage,
+    RobotState,
+    TimedProjector,
+)
 
 FOR_EVER_NS = 2**62
 
@@ -53,6 +59,43 @@ def make_answer(stack: Stack, rng: np.random.Generator, **changes: Any) -> Proje
         tau=10.0 * rng.standard_normal(layout.n_accelerations - 6),
         y=100.0 * rng.standard_normal(layout.n_unknowns),
         projectors=(TimedProjector(make_projector(stack, rng), 0, FOR_EVER_NS),),
+    )
+    return dataclasses.replace(message, **changes)
+
+
+def make_factorisation(stack: Stack, rng: np.random.Generator, **changes: Any) -> Factorisation:
+    """Random numbers in the shape of a factorisation; P is positive definite, as a true one's
+    block of the forces is. Rows of A that do not vary are what they always are.
+    """
+    n, n_e = stack.layout.n_unknowns, stack.equality_rows.stop
+    n_a = stack.layout.n_accelerations
+    A = stack.constant_task_rows.copy()
+    A[stack.varying_task_rows] = rng.standard_normal((len(stack.varying_task_rows), n_a))
+    factorisation = Factorisation(
+        mode=stack.mode,
+        P=_symmetric(n, rng),
+        Q=rng.standard_normal((n, n_e)),
+        T=_symmetric(n_e, rng),
+        A=A,
+        posture=rng.standard_normal(n_a - 6),
+    )
+    return dataclasses.replace(factorisation, **changes)
+
+
+def _symmetric(n: int, rng: np.random.Generator) -> np.ndarray:
+    factor = rng.standard_normal((n, n))
+    return np.eye(n) + factor @ factor.T / n
+
+
+def make_correction(
+    stacks: Iterable[Stack], rng: np.random.Generator, **changes: Any
+) -> FactorisationMessage:
+    """An answer to a robot that corrects, with one random factorisation per stack."""
+    message = FactorisationMessage(
+        session=5,
+        sequence=3,
+        stamp_ns=11_000_000,
+        factorisations=tuple(make_factorisation(stack, rng) for stack in stacks),
     )
     return dataclasses.replace(message, **changes)
 

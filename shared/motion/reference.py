@@ -47,6 +47,10 @@ class Motion(Protocol):
         """When the contact mode changes next after `time_ns`; None for never."""
         ...
 
+    def stopped(self, time_ns: int) -> Motion:
+        """The same motion until `time_ns`, from then on to a stand as soon as it can be."""
+        ...
+
 
 def motion_digest(*parts: np.ndarray) -> bytes:
     """Eight bytes of positions and times, to a tenth of a millimetre or of a millisecond.
@@ -79,6 +83,9 @@ class Standing:
 
     def next_switch(self, time_ns: int) -> int | None:
         return None
+
+    def stopped(self, time_ns: int) -> Standing:
+        return self
 
 
 def coming_switches(motion: Motion, time_ns: int) -> list[int]:

@@ -7,6 +7,7 @@ build it from the same configuration, whose digest every message carries.
 from __future__ import annotations
 
 import bisect
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -15,10 +16,11 @@ import pinocchio as pin
 
 from shared.config import WalkConfig
 from shared.motion.com_plan import GRAVITY, ComPlan, ZmpSegment, dcm_plan
+from shared.motion.cross_fade import CrossFade
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import Step, plan_footsteps
 from shared.motion.mpc_plan import SupportPhase, mpc_plan
-from shared.motion.reference import Reference, Standing, motion_digest
+from shared.motion.reference import Motion, Reference, Standing, motion_digest
 from shared.motion.swing import quintic, swing
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
@@ -43,6 +45,7 @@ class Walking:
 
     def __init__(self, robot: Robot, config: WalkConfig) -> None:
         self.steps = plan_footsteps(robot, config)
+        self._robot = robot
         self._config = config
         standing = Standing(robot).reference(0)
         self._standing = standing
@@ -87,6 +90,15 @@ class Walking:
     def next_switch(self, time_ns: int) -> int | None:
         k = bisect.bisect_right(self._ends, time_ns)
         return self.phases[k].end_ns if k + 1 < len(self.phases) else None
+
+    def stopped(self, time_ns: int) -> Motion:
+        """With the step under way finished, and one more that brings the feet together."""
+        under_way = sum(phase.end_ns <= time_ns for phase in self.phases[1::2])
+        steps = under_way + 2
+        if steps >= len(self.steps):
+            return self
+        shorter = Walking(self._robot, dataclasses.replace(self._config, steps=steps))
+        return CrossFade(self, shorter, begin_ns=time_ns)
 
     def _phase(self, time_ns: int) -> Phase:
         k = bisect.bisect_right(self._ends, max(0, time_ns))

@@ -38,6 +38,14 @@ class ContactMode(enum.IntEnum):
         """The loaded feet as numbers: 0 left, 1 right."""
         return tuple(k for k, foot in enumerate(Foot) if foot in self.feet)
 
+    def active_set(self, rows: np.ndarray) -> int:
+        """Row indices of C in this mode as a bit mask that means the same in every mode.
+
+        Bit 20 k + i stands for row i of foot k, left before right.
+        """
+        first = self.feet_indices[0] * ROWS_PER_FOOT
+        return sum(1 << (first + int(row)) for row in rows)
+
 
 _LOADED = {
     ContactMode.DOUBLE_SUPPORT: (Foot.LEFT, Foot.RIGHT),

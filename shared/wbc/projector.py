@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from shared.wbc.contacts import ROWS_PER_FOOT, ContactMode
+from shared.wbc.contacts import ContactMode
 from shared.wbc.qp import QpSolution, QpSolver, QpStatus, QuadraticProgram
 from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
 
@@ -36,12 +36,8 @@ class Projector:
 
     @property
     def active_set(self) -> int:
-        """`active` as a bit mask, in which a row has the same bit in every contact mode.
-
-        Bit 20 k + i stands for row i of foot k, left before right.
-        """
-        first = self.mode.feet_indices[0] * ROWS_PER_FOOT
-        return sum(1 << (first + int(row)) for row in self.active)
+        """`active` as a bit mask, see `ContactMode.active_set`."""
+        return self.mode.active_set(self.active)
 
     def apply(self, b: np.ndarray) -> np.ndarray:
         """y = A† b, Eq. (4); shape (n,): accelerations, then contact forces."""
@@ -62,9 +58,9 @@ class CondensedQp:
 def condense(stack: Stack, matrices: StackMatrices, b: np.ndarray) -> CondensedQp:
     """Eliminate a. Raises `numpy.linalg.LinAlgError` if the rows are dependent or not finite."""
     E_a, E_f, A = matrices.E_a, matrices.E_f, matrices.A
-    H_inverse = _spd_inverse(A.T @ A)
+    H_inverse = spd_inverse(A.T @ A)
     E_H = E_a @ H_inverse
-    S_inverse = _spd_inverse(E_H @ E_a.T)
+    S_inverse = spd_inverse(E_H @ E_a.T)
     Q = E_H.T @ S_inverse
     P_A = (H_inverse - Q @ E_H) @ A.T
     # Only the six dynamics rows of E touch f.
@@ -75,7 +71,7 @@ def condense(stack: Stack, matrices: StackMatrices, b: np.ndarray) -> CondensedQ
     a_from_b = np.hstack([Q, P_A])
     R = np.hstack([F_S, a_from_f.T @ A.T])
     problem = QuadraticProgram(H=F, g=-(R @ b[:-1]), C=stack.contacts.C, l=stack.contacts.l)
-    return CondensedQp(problem, R, _spd_inverse(F), a_from_b, a_from_f)
+    return CondensedQp(problem, R, spd_inverse(F), a_from_b, a_from_f)
 
 
 def factorise(stack: Stack, condensed: CondensedQp, active: np.ndarray) -> Projector:
@@ -87,7 +83,7 @@ def factorise(stack: Stack, condensed: CondensedQp, active: np.ndarray) -> Proje
     f_from_b[:, -1] = 0.0
     if active.size:
         C_N = stack.contacts.C[active] @ N
-        W_inverse = _spd_inverse(C_N @ stack.contacts.C[active].T)
+        W_inverse = spd_inverse(C_N @ stack.contacts.C[active].T)
         f_from_l = C_N.T @ W_inverse
         N = N - f_from_l @ C_N
         f_from_b[:, -1] = f_from_l @ stack.contacts.l[active]
@@ -144,7 +140,7 @@ def full_problem(stack: Stack, matrices: StackMatrices, b: np.ndarray) -> Quadra
     return QuadraticProgram(H=H, g=g, C=C, l=stack.contacts.l, E=E, e=b[stack.equality_rows])
 
 
-def _spd_inverse(matrix: np.ndarray) -> np.ndarray:
+def spd_inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a symmetric positive definite matrix by its Cholesky factor."""
     factor, info = dpotrf(matrix, lower=1, clean=1)
     if info == 0:

@@ -22,7 +22,7 @@ from shared.config import WbcConfig
 from shared.motion.reference import Reference
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactGeometry, ContactMode, contact_geometry
-from shared.wbc.model import Jacobians, Kinematics
+from shared.wbc.model import Jacobians, Kinematics, RowMultipliers
 from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, SwingFootTask, Task
 
 N_DYNAMICS = 6
@@ -114,22 +114,38 @@ class Stack:
         self._n_rows = self.layout.n_rows
         self._n_equalities = N_DYNAMICS + ROWS_PER_CONTACT * len(mode.feet)
         task_rows = sum(task.size for task in self.tasks)
+        varying = [np.full(task.size, not task.constant) for task in self.tasks]
+        # Which rows of A depend on the configuration; the others are known by themselves.
+        self.varying_task_rows = np.flatnonzero(np.concatenate(varying))
+        self.constant_task_rows = self._constant_task_rows()
         self.equality_rows = slice(0, self._n_equalities)
         self.task_rows = slice(self._n_equalities, self._n_equalities + task_rows)
+
+    def _constant_task_rows(self) -> np.ndarray:
+        """A with zeros where it depends on the configuration, (n_t, nv)."""
+        nv = self.layout.n_accelerations
+        anywhere = Jacobians(np.zeros((6, nv)), {}, np.zeros((3, nv)))
+        return np.concatenate(
+            [
+                sqrt_weight * task.jacobian(anywhere) if task.constant else np.zeros((size, nv))
+                for task, sqrt_weight, size in self._weighted_tasks
+            ]
+        )
 
     def right_hand_side(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
         """b of Eq. (6), shape (layout.n_rows,).
 
         Dynamics rows −h_u [N, N m]; contact rows −J̇ v − kd J v [m/s², rad/s²]; task rows
-        √ω (s̈* − J̇ v); a final 1.
+        √ω (s̈* − J̇ v); a final 1. With kinematics at a solution y it is the residual of every row
+        at y instead: e − E y, √ω (s̈* − J̇ v − J a).
         """
         b = np.empty(self._n_rows)
-        np.negative(kinematics.h[:N_DYNAMICS], out=b[:N_DYNAMICS])
+        np.negative(kinematics.force[:N_DYNAMICS], out=b[:N_DYNAMICS])
         row = N_DYNAMICS
         for foot in self.mode.feet:
             rows = b[row : row + ROWS_PER_CONTACT]
             np.multiply(kinematics.sole_velocity[foot], -self.contact_damping, out=rows)
-            rows -= kinematics.sole_drift[foot]
+            rows -= kinematics.sole_acceleration[foot]
             row += ROWS_PER_CONTACT
         for task, sqrt_weight, size in self._weighted_tasks:
             target = task.target(kinematics, reference)
@@ -137,6 +153,13 @@ class Stack:
             row += size
         b[row] = 1.0
         return b
+
+    def add_task_multipliers(self, residual: np.ndarray, multipliers: RowMultipliers) -> None:
+        """Add Aᵀ r for the weighted task rows r of `residual` (n_rows,)."""
+        row = self.task_rows.start
+        for task, sqrt_weight, size in self._weighted_tasks:
+            task.add_transposed(sqrt_weight * residual[row : row + size], multipliers)
+            row += size
 
     def matrices(self, jacobians: Jacobians) -> StackMatrices:
         """E_a, E_f and A of Eq. (5) at one configuration."""
@@ -162,11 +185,11 @@ class Stack:
         """The foot whose contact violation is reported, Sec. IV-C: the first loaded one."""
         return self.mode.feet[0]
 
-    def contact_violation(self, kinematics: Kinematics, sole_acceleration: np.ndarray) -> float:
+    def contact_violation(self, velocity: np.ndarray, acceleration: np.ndarray) -> float:
         """‖J_c a + J̇_c v‖ of the support foot without the contact damping term [m/s²].
 
-        The damping the contact rows ask for is wanted, so it is not counted as a violation.
+        From the sole's motion (6,) each. The damping that the contact rows ask for is wanted, so it
+        is not counted as a violation.
         """
-        velocity = kinematics.sole_velocity[self.support_foot]
-        violation = sole_acceleration + self.contact_damping * velocity
+        violation = acceleration + self.contact_damping * velocity
         return math.sqrt(violation @ violation)

@@ -1,7 +1,8 @@
 """The tasks: one class each, with its Jacobian for the edge and its feedback for both ends.
 
-`target` is s̈* − J̇ v of Eq. (6), with s̈* = s̈_ref + kp (s_ref − s) + kd (ṡ_ref − ṡ) and
-kd = 2 √kp (critical damping). The row weight √ω is applied by the stack.
+`target` is s̈* − J̇ v of Eq. (6), or s̈* − J̇ v − J a with kinematics at an acceleration a, where
+s̈* = s̈_ref + kp (s_ref − s) + kd (ṡ_ref − ṡ) and kd = 2 √kp (critical
+damping). The row weight √ω is applied by the stack.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import pinocchio as pin
 
 from shared.motion.reference import Reference
 from shared.robots import Foot
-from shared.wbc.model import Jacobians, Kinematics
+from shared.wbc.model import Jacobians, Kinematics, RowMultipliers
 
 
 class Task(Protocol):
@@ -27,36 +28,48 @@ class Task(Protocol):
     def size(self) -> int: ...
     @property
     def weight(self) -> float: ...
+    @property
+    def constant(self) -> bool:
+        """Whether J is the same at every configuration."""
+        ...
 
     def jacobian(self, jacobians: Jacobians) -> np.ndarray:
         """J, shape (size, nv)."""
         ...
 
     def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
-        """s̈* − J̇ v, shape (size,)."""
+        """s̈* − J̇ v − J a, shape (size,); a is that of the kinematics, zero for b."""
+        ...
+
+    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+        """Add Jᵀ `rows` (size,) to a product, as multipliers of the rows that J is made of."""
         ...
 
 
 @dataclass(frozen=True)
 class ComTask:
-    """Centre of mass, world frame [m]."""
+    """Centre of mass [m], in the base frame: its rows do not change when the robot turns."""
 
     weight: float
     kp: float
     name: str = "com"
     size: int = 3
+    constant: bool = False
 
     def jacobian(self, jacobians: Jacobians) -> np.ndarray:
         return jacobians.J_com
 
     def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
         kd = 2.0 * math.sqrt(self.kp)
-        return (
+        return kinematics.world_from_base.T @ (
             reference.com_acceleration
             + self.kp * (reference.com - kinematics.com)
             + kd * (reference.com_velocity - kinematics.com_velocity)
-            - kinematics.com_drift
+            - kinematics.com_acceleration
         )
+
+    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+        multipliers.com += rows
 
 
 class BaseOrientationTask:
@@ -64,6 +77,7 @@ class BaseOrientationTask:
 
     name = "base_orientation"
     size = 3
+    constant = True
 
     def __init__(self, *, weight: float, kp: float, nv: int) -> None:
         self.weight = weight
@@ -76,13 +90,18 @@ class BaseOrientationTask:
     def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
         base_from_reference = kinematics.world_from_base.T @ reference.world_from_base
         kd = 2.0 * math.sqrt(self.kp)
-        return self.kp * pin.log3(base_from_reference) - kd * kinematics.v[3:6]
+        error = self.kp * pin.log3(base_from_reference)
+        return error - kd * kinematics.v[3:6] - kinematics.a[3:6]
+
+    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+        multipliers.joints[3:6] += rows
 
 
 class PostureTask:
     """Joint positions [rad]."""
 
     name = "posture"
+    constant = True
 
     def __init__(self, *, weight: float, kp: float, nv: int) -> None:
         self.weight = weight
@@ -95,7 +114,11 @@ class PostureTask:
 
     def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
         kd = 2.0 * math.sqrt(self.kp)
-        return self.kp * (reference.posture - kinematics.q[7:]) - kd * kinematics.v[6:]
+        error = self.kp * (reference.posture - kinematics.q[7:])
+        return error - kd * kinematics.v[6:] - kinematics.a[6:]
+
+    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+        multipliers.joints[6:] += rows
 
 
 class SwingFootTask:
@@ -103,6 +126,7 @@ class SwingFootTask:
 
     name = "swing_foot"
     size = 6
+    constant = False
 
     def __init__(self, *, weight: float, kp: float, foot: Foot) -> None:
         self.weight = weight
@@ -115,7 +139,7 @@ class SwingFootTask:
     def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
         swing = reference.swing
         if swing is None:  # the plan has this foot on the ground: keep it where it is
-            return -kinematics.sole_drift[self.foot]
+            return -kinematics.sole_acceleration[self.foot]
         kd = 2.0 * math.sqrt(self.kp)
         placement = kinematics.sole_placement[self.foot]
         R = placement.rotation
@@ -134,4 +158,7 @@ class SwingFootTask:
             + kd * (swing.yaw_rate * upright - omega)
             + swing.yaw_acceleration * upright
         )
-        return np.concatenate([linear, angular]) - kinematics.sole_drift[self.foot]
+        return np.concatenate([linear, angular]) - kinematics.sole_acceleration[self.foot]
+
+    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+        multipliers.soles[self.foot] = multipliers.soles.get(self.foot, 0.0) + rows

@@ -12,6 +12,7 @@ from shared.config import WbcConfig
 from shared.motion.reference import Motion
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
+from shared.wbc.correction import Factorisation, factorise_kkt
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import Projector, WholeBodySolution, solve
 from shared.wbc.qp import make_solver
@@ -47,6 +48,19 @@ class WholeBodyController:
         b = stack.right_hand_side(kinematics, self._motion.reference(time_ns))
         matrices = stack.matrices(self.model.jacobians(q))
         return solve(stack, matrices, b, solver=self._solver), b
+
+    def factorise(
+        self, q: np.ndarray, modes: tuple[ContactMode, ...], *, damping: float
+    ) -> tuple[Factorisation, ...] | None:
+        """Factorisations of some contact modes at one configuration; None if one is singular."""
+        jacobians = self.model.jacobians(q)
+        try:
+            return tuple(
+                factorise_kkt(stack, stack.matrices(jacobians), posture=q[7:], damping=damping)
+                for stack in (self.stacks[mode] for mode in modes)
+            )
+        except np.linalg.LinAlgError:
+            return None
 
     def timed(self, projector: Projector, *, from_ns: int) -> TimedProjector:
         """Valid from a task time until the next contact switch after it."""

@@ -18,16 +18,18 @@ from shared.errors import ConfigError, MessageRefused
 from shared.motion.reference import Motion
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
+from shared.wbc.correction import Factorisation
 from shared.wbc.projector import Projector
 from shared.wbc.stack import RowLayout, Stack
 from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
-from shared.wire.messages import ProjectorMessage, RobotState
+from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
 
 SCHEMA_VERSION = 2
-_STATE, _PROJECTOR = "state", "projector"
+_STATE, _PROJECTOR, _FACTORISATION = "state", "projector", "factorisation"
 _MAX_INT = 2**63 - 1
-_DTYPES: dict[str, np.dtype[Any]] = {"float64": np.dtype("<f8"), "float32": np.dtype("<f4")}
+_SINGLE = np.dtype("<f4")
+_DTYPES: dict[str, np.dtype[Any]] = {"float64": np.dtype("<f8"), "float32": _SINGLE}
 
 
 class Codec:
@@ -66,6 +68,7 @@ class Codec:
             mode=int(state.mode),
             q=state.q.tobytes(),
             v=state.v.tobytes(),
+            holds=state.holds,
         )
 
     def decode_state(self, data: bytes) -> RobotState:
@@ -79,6 +82,7 @@ class Codec:
             mode=_mode(fields),
             q=_array(fields, "q", (self._nq,)),
             v=_array(fields, "v", (self._nv,)),
+            holds=_holds(fields),
         )
 
     def encode_projector(self, message: ProjectorMessage) -> bytes:
@@ -113,6 +117,70 @@ class Codec:
             tau=_array(fields, "tau", (self._nv - 6,)),
             y=_array(fields, "y", (self._layouts[mode].n_unknowns,)),
             projectors=projectors,
+        )
+
+    def encode_factorisations(self, message: FactorisationMessage) -> bytes:
+        """A `FactorisationMessage` as bytes, numbers in single precision."""
+        return self._pack(
+            _FACTORISATION,
+            DOWNLINK.max_bytes,
+            session=message.session,
+            sequence=message.sequence,
+            stamp_ns=message.stamp_ns,
+            factorisations=[self._factorisation_fields(each) for each in message.factorisations],
+        )
+
+    def decode_factorisations(self, data: bytes) -> FactorisationMessage:
+        """A checked `FactorisationMessage`; `MessageRefused` otherwise."""
+        fields = self._unpack(data, _FACTORISATION, DOWNLINK.max_bytes)
+        entries = fields.get("factorisations")
+        if not isinstance(entries, list) or len(entries) > len(ContactMode):
+            raise MessageRefused("shape", "factorisations")
+        return FactorisationMessage(
+            session=_integer(fields, "session"),
+            sequence=_integer(fields, "sequence"),
+            stamp_ns=_integer(fields, "stamp_ns"),
+            factorisations=tuple(self._decode_factorisation_fields(entry) for entry in entries),
+        )
+
+    def _factorisation_fields(self, factorisation: Factorisation) -> dict[str, Any]:
+        mode = factorisation.mode
+        varying = self._stacks[mode].varying_task_rows
+        arrays = {
+            "P": _packed(factorisation.P),
+            "Q": factorisation.Q,
+            "T": _packed(factorisation.T),
+            "A": factorisation.A[varying],
+            "posture": factorisation.posture,
+        }
+        return {
+            "mode": int(mode),
+            "layout": self._layout_digests[mode],
+            **{name: array.astype(_SINGLE).tobytes() for name, array in arrays.items()},
+        }
+
+    def _decode_factorisation_fields(self, fields: Any) -> Factorisation:
+        if not isinstance(fields, dict):
+            raise MessageRefused("undecodable", "factorisation")
+        mode = _mode(fields)
+        if fields.get("layout") != self._layout_digests[mode]:
+            raise MessageRefused("layout", mode.name)
+        stack = self._stacks[mode]
+        n, n_e = stack.layout.n_unknowns, stack.equality_rows.stop
+        varying = stack.varying_task_rows
+
+        def array(name: str, *shape: int) -> np.ndarray:
+            return _array(fields, name, shape, dtype=_SINGLE)
+
+        A = stack.constant_task_rows.copy()
+        A[varying] = array("A", len(varying), self._nv)
+        return Factorisation(
+            mode=mode,
+            P=_unpacked(array("P", n * (n + 1) // 2), n),
+            Q=array("Q", n, n_e),
+            T=_unpacked(array("T", n_e * (n_e + 1) // 2), n_e),
+            A=A,
+            posture=array("posture", self._nv - 6),
         )
 
     def _projector_fields(self, timed: TimedProjector) -> dict[str, Any]:
@@ -188,6 +256,28 @@ def _integer(fields: dict[str, Any], name: str) -> int:
     if type(value) is not int or not -_MAX_INT <= value <= _MAX_INT:
         raise MessageRefused("shape", name)
     return value
+
+
+def _packed(symmetric: np.ndarray) -> np.ndarray:
+    """The lower triangle, row by row."""
+    return symmetric[np.tril_indices(len(symmetric))]
+
+
+def _unpacked(triangle: np.ndarray, n: int) -> np.ndarray:
+    matrix = np.zeros((n, n))
+    matrix[np.tril_indices(n)] = triangle
+    return matrix + np.tril(matrix, -1).T
+
+
+def _holds(fields: dict[str, Any]) -> tuple[int, ...] | None:
+    holds = fields.get("holds")
+    if holds is None:
+        return None
+    if not isinstance(holds, list) or len(holds) != len(ContactMode):
+        raise MessageRefused("shape", "holds")
+    if any(type(each) is not int or not -1 <= each <= _MAX_INT for each in holds):
+        raise MessageRefused("shape", "holds")
+    return tuple(holds)
 
 
 def _mode(fields: dict[str, Any]) -> ContactMode:

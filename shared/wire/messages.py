@@ -1,4 +1,4 @@
-"""The two messages of the link. `docs/wire.md` documents their encoding field by field."""
+"""The messages of the link. `docs/wire.md` documents their encoding field by field."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.wbc.contacts import ContactMode
+from shared.wbc.correction import Factorisation
 from shared.wbc.whole_body import TimedProjector
 
 
@@ -17,6 +18,8 @@ class RobotState:
     `session` tells one start of the robot from the next; `sequence` counts ticks within it.
     `stamp_ns` is the robot's clock at the measurement and means nothing elsewhere; `time_ns` is the
     time of the task, from which both ends derive the reference. `q` (nq,), `v` (nv,).
+    `holds`: per contact mode, the state whose factorisation the robot has, −1 for none; None for a
+    robot that wants projectors.
     """
 
     session: int
@@ -26,6 +29,7 @@ class RobotState:
     mode: ContactMode
     q: np.ndarray
     v: np.ndarray
+    holds: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,3 +47,16 @@ class ProjectorMessage:
     tau: np.ndarray
     y: np.ndarray
     projectors: tuple[TimedProjector, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FactorisationMessage:
+    """Downlink to a robot that corrects: factorisations at the state whose identity it echoes.
+
+    With none it only says that the edge is there.
+    """
+
+    session: int
+    sequence: int
+    stamp_ns: int
+    factorisations: tuple[Factorisation, ...]

@@ -8,6 +8,7 @@ import pytest
 from edge_node.node import EdgeNode
 from shared.telemetry import SOLVE_SCHEMA
 from shared.wbc.contacts import ContactMode
+from shared.wbc.correction import factorise_kkt
 from shared.wbc.qp import QpStatus
 from shared.wbc.torque import recover_torque
 from shared.wire.codec import Codec
@@ -224,3 +225,95 @@ def test_an_unsolved_state_leaves_a_row_without_an_active_set(edge, state):
     failed.record(row, wall_ns=1, solve_ns=1)
     assert row[SOLVE_SCHEMA.slices["status"]] == list(QpStatus).index(QpStatus.INFEASIBLE)
     assert row[SOLVE_SCHEMA.slices["active_set"]] == -1
+
+
+NOTHING_HELD = (-1, -1, -1)
+
+
+def test_a_robot_that_corrects_is_sent_factorisations_of_its_state(
+    edge, codec, state, stacks, states, model
+):
+    q, v = states[1]
+    edge.receive(state(17, session=99, stamp_ns=123_456_789_012, q=q, v=v, holds=NOTHING_HELD))
+    answer = edge.step()
+    assert answer.state_sequence == 17
+    message = codec.decode_factorisations(answer.data)
+    assert (message.session, message.sequence, message.stamp_ns) == (99, 17, 123_456_789_012)
+    assert [each.mode for each in message.factorisations] == list(ContactMode)
+    for each in message.factorisations:
+        matrices = stacks[each.mode].matrices(model.jacobians(q))
+        expected = factorise_kkt(stacks[each.mode], matrices, q[7:])
+        for name in ("P", "Q", "T", "A", "posture"):
+            # Half a unit in the last of 24 bits.
+            np.testing.assert_allclose(
+                getattr(each, name), getattr(expected, name), rtol=2.0**-24, atol=1e-12
+            )
+
+
+def test_a_robot_that_holds_what_it_needs_is_left_alone(edge, state):
+    edge.receive(state(0, holds=NOTHING_HELD))
+    assert edge.step() is not None
+    for sequence in (1, 2, 3):
+        edge.receive(state(sequence, holds=(0, 0, 0)))
+        assert edge.step() is None
+    assert edge.solved == {"solved": 1}
+    assert not edge.refused
+
+
+def test_now_and_then_it_is_told_that_the_edge_is_there(edge, codec, state):
+    edge.receive(state(0, stamp_ns=10**9, holds=NOTHING_HELD))
+    edge.step()
+    edge.receive(state(100, stamp_ns=10**9 + 100_000_000, holds=(0, 0, 0)))
+    message = codec.decode_factorisations(edge.step().data)
+    assert message.sequence == 100
+    assert message.factorisations == ()
+
+
+def test_what_is_sent_later_has_the_modes_that_are_due_only(edge, codec, state, robot):
+    edge.receive(state(0, holds=NOTHING_HELD))
+    edge.step()
+    q = robot.q_standing.copy()
+    q[12] += 0.11
+    edge.receive(state(1, q=q, holds=(0, 0, 0)))
+    message = codec.decode_factorisations(edge.step().data)
+    assert [each.mode for each in message.factorisations] == [ContactMode.DOUBLE_SUPPORT]
+    np.testing.assert_allclose(message.factorisations[0].posture, q[7:], atol=1e-7)
+
+
+def test_damping_is_in_what_is_sent(robot, motion, configured, stacks, model, state):
+    config = configured(**{"correction.damping": 0.05})
+    codec, edge = Codec(robot, config, motion), EdgeNode(robot, config, motion)
+    edge.receive(state(0, holds=NOTHING_HELD))
+    q = robot.q_standing
+    for each in codec.decode_factorisations(edge.step().data).factorisations:
+        matrices = stacks[each.mode].matrices(model.jacobians(q))
+        damped = factorise_kkt(stacks[each.mode], matrices, q[7:], damping=0.05)
+        undamped = factorise_kkt(stacks[each.mode], matrices, q[7:])
+        np.testing.assert_allclose(each.P, damped.P, rtol=2.0**-24, atol=1e-12)
+        assert np.abs(undamped.P - damped.P).max() > 0.1
+
+
+def test_a_configuration_that_cannot_be_factorised_is_named_and_tried_again(edge, robot, state):
+    q = robot.q_standing.copy()
+    q[:3] = 1e200  # nothing is left of a foot's distance from there
+    edge.receive(state(0, q=q, holds=NOTHING_HELD))
+    with np.errstate(all="ignore"):
+        answer = edge.step()
+    assert answer.data is None
+    assert answer.solution.status is QpStatus.NOT_FINITE
+    assert edge.solved == {"not_finite": 1}
+    row = np.zeros(SOLVE_SCHEMA.width)
+    answer.record(row, wall_ns=1, solve_ns=1)
+    assert row[SOLVE_SCHEMA.slices["active_set"]] == -1
+    # It is not remembered as sent.
+    edge.receive(state(1, holds=NOTHING_HELD))
+    assert edge.step().data is not None
+
+
+def test_one_edge_serves_either_kind_of_robot(edge, codec, state):
+    edge.receive(state(0, holds=NOTHING_HELD))
+    codec.decode_factorisations(edge.step().data)
+    edge.receive(state(1))
+    codec.decode_projector(edge.step().data)
+    edge.receive(state(0, session=6, holds=NOTHING_HELD))
+    codec.decode_factorisations(edge.step().data)

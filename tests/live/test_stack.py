@@ -163,9 +163,9 @@ def test_robot_balances_on_its_cache_while_the_edge_is_dead(
     robot.wait_for("the task begins")
     time.sleep(0.5)
     edge.signal(signal.SIGKILL)
-    robot.wait_for("balancing on the cache")
+    robot.wait_for("going on with the cache")
     edge = start("edge_node", "--listen", endpoints[0])
-    robot.wait_for("new projectors again")
+    robot.wait_for("new answers again")
     assert robot.wait() == 0, robot.output
     schema, rows = read_parquet(tmp_path / "telemetry.parquet")
     age_ms = schema.column(rows, "projector_age_ns") * 1e-6

@@ -52,6 +52,8 @@ def test_without_delay_both_controllers_are_the_same_controller(play):
             "cached": 0,
             "held": 0,
             "on_board": 0,
+            "corrected": 0,
+            "stopping": 0,
         }
 
 

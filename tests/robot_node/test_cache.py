@@ -1,13 +1,21 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from robot_node.cache import CacheEntry, ProjectorCache
+from robot_node.cache import CacheEntry, FactorisationCache, ProjectorCache
 from shared.wbc.contacts import ContactMode
 from shared.wire.codec import Codec
 from shared.wire.messages import TimedProjector
-from tests.messages import FOR_EVER_NS, make_answer, make_projector
+from tests.messages import (
+    FOR_EVER_NS,
+    make_answer,
+    make_correction,
+    make_factorisation,
+    make_projector,
+)
 
 SESSION = 5
 DOUBLE, LEFT, RIGHT = ContactMode
@@ -38,6 +46,24 @@ def answer(codec, stacks, rng):
 def held(cache, mode=DOUBLE):
     entry = cache.lookup(mode, time_ns=0)
     return None if entry is None else entry.sequence
+
+
+@pytest.fixture
+def factorisations(codec, stacks):
+    return FactorisationCache(codec, stacks, session=SESSION, level="b")
+
+
+@pytest.fixture
+def correction(codec, stacks, rng):
+    def encode(sequence, *modes, **changes):
+        message = make_correction(
+            [stacks[mode] for mode in modes or (DOUBLE,)],
+            rng,
+            **{"session": SESSION, "sequence": sequence, **changes},
+        )
+        return codec.encode_factorisations(message)
+
+    return encode
 
 
 def test_an_empty_cache_has_nothing_for_any_mode(cache):
@@ -147,3 +173,116 @@ def test_what_was_solved_on_board_replaces_older_answers_only(
     timed = TimedProjector(make_projector(stacks[DOUBLE], rng), 0, FOR_EVER_NS)
     cache.keep(CacheEntry(timed, sequence, 0, on_board=True))
     assert cache.lookup(DOUBLE, time_ns=0).on_board is wins
+
+
+def test_a_cache_of_projectors_does_not_ask_for_factorisations(cache, answer):
+    assert cache.holds is None
+    cache.offer(answer(3), newest_sent=10)
+    assert cache.holds is None
+
+
+def test_an_empty_cache_of_factorisations_holds_none_and_says_so(factorisations):
+    assert [factorisations.lookup(mode) for mode in ContactMode] == [None, None, None]
+    assert factorisations.holds == (-1, -1, -1)
+
+
+def test_each_mode_keeps_its_newest_factorisation_and_the_cache_says_which(
+    factorisations, correction
+):
+    assert factorisations.offer(correction(0, *ContactMode), newest_sent=10)
+    assert factorisations.holds == (0, 0, 0)
+    assert factorisations.offer(correction(4, LEFT, stamp_ns=44), newest_sent=10)
+    assert factorisations.holds == (0, 4, 0)
+    assert factorisations.offer(correction(7, RIGHT, DOUBLE), newest_sent=10)
+    assert factorisations.holds == (7, 4, 7)
+    entry = factorisations.lookup(LEFT)
+    assert (entry.sequence, entry.stamp_ns) == (4, 44)
+    assert entry.corrector.factorisation.mode is LEFT
+    assert not factorisations.refused
+
+
+@pytest.mark.parametrize("late", [6, 7])
+def test_a_factorisation_that_is_not_newer_is_stale(factorisations, correction, late):
+    factorisations.offer(correction(7), newest_sent=10)
+    before = factorisations.lookup(DOUBLE)
+    # Of another mode too: what a robot gets, it gets in order.
+    for data in (correction(late), correction(late, LEFT)):
+        assert not factorisations.offer(data, newest_sent=10)
+    assert factorisations.refused == {"stale": 2}
+    assert factorisations.lookup(DOUBLE) is before
+    assert factorisations.lookup(LEFT) is None
+
+
+def test_a_factorisation_of_a_state_not_sent_yet_is_from_the_future(factorisations, correction):
+    assert not factorisations.offer(correction(11), newest_sent=10)
+    assert factorisations.refused == {"future": 1}
+    assert factorisations.offer(correction(10), newest_sent=10)
+
+
+def test_a_factorisation_for_another_start_of_the_robot_is_refused(factorisations, correction):
+    assert not factorisations.offer(correction(3, session=SESSION + 1), newest_sent=10)
+    assert factorisations.refused == {"session": 1}
+    assert factorisations.holds == (-1, -1, -1)
+
+
+def test_either_cache_refuses_what_is_for_the_other(cache, factorisations, answer, correction):
+    assert not cache.offer(correction(3), newest_sent=10)
+    assert not factorisations.offer(answer(3), newest_sent=10)
+    assert cache.refused == {"kind": 1}
+    assert factorisations.refused == {"kind": 1}
+
+
+def test_a_sign_of_life_leaves_what_is_held_and_is_the_newest_answer(factorisations, correction):
+    factorisations.offer(correction(3, *ContactMode, stamp_ns=33), newest_sent=10)
+    sign = make_correction([], np.random.default_rng(0), session=SESSION, sequence=7, stamp_ns=77)
+    assert factorisations.offer(factorisations._codec.encode_factorisations(sign), newest_sent=10)
+    assert factorisations.holds == (3, 3, 3)
+    assert factorisations.newest_stamp_ns == 77
+
+
+def test_the_cached_blocks_are_those_of_the_message(factorisations, codec, stacks, rng):
+    message = make_correction([stacks[LEFT]], rng, session=SESSION)
+    factorisations.offer(codec.encode_factorisations(message), newest_sent=10)
+    cached = factorisations.lookup(LEFT).corrector.factorisation
+    (sent,) = message.factorisations
+    for name in ("P", "Q", "T", "posture"):
+        expected = getattr(sent, name).astype(np.float32)
+        np.testing.assert_array_equal(getattr(cached, name), expected)
+
+
+def broken(stack, rng, *, block):
+    """A well-formed factorisation whose forces have no metric."""
+    factorisation = make_factorisation(stack, rng)
+    forces = slice(stack.layout.n_accelerations, None)
+    P = factorisation.P.copy()
+    P[forces, forces] = block(stack.layout.n_forces)
+    return dataclasses.replace(factorisation, P=P)
+
+
+NOT_DEFINITE = {
+    "zero": lambda n: np.zeros((n, n)),
+    "negative": lambda n: -np.eye(n),
+    "one negative": lambda n: np.diag([1.0] * (n - 1) + [-1.0]),
+    "singular": lambda n: np.ones((n, n)),
+    # Positive, but its inverse cannot be told from one that is not.
+    "as good as singular": lambda n: np.diag([1.0] * (n - 1) + [1e-38]),
+    "of no scale": lambda n: 1e-30 * np.eye(n),
+}
+
+
+@pytest.mark.parametrize("block", NOT_DEFINITE.values(), ids=NOT_DEFINITE)
+def test_forces_that_are_not_definite_are_refused_and_leave_what_is_held(
+    factorisations, codec, correction, stacks, rng, block
+):
+    factorisations.offer(correction(3, *ContactMode), newest_sent=10)
+    before = [factorisations.lookup(mode) for mode in ContactMode]
+    # A good one in the same message does not get in either.
+    entries = (make_factorisation(stacks[LEFT], rng), broken(stacks[DOUBLE], rng, block=block))
+    message = make_correction([], rng, session=SESSION, sequence=5, factorisations=entries)
+    assert not factorisations.offer(codec.encode_factorisations(message), newest_sent=10)
+    assert factorisations.refused == {"not_definite": 1}
+    assert [factorisations.lookup(mode) for mode in ContactMode] == before
+    assert factorisations.holds == (3, 3, 3)
+    # Nor does it shut out the next.
+    assert factorisations.offer(correction(4), newest_sent=10)
+    assert factorisations.holds == (4, 3, 3)

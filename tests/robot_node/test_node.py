@@ -14,57 +14,7 @@ from robot_node.safety import JointHold, TorqueGuard
 from shared.wire.codec import Codec
 from shared.wire.messages import TimedProjector
 from tests.messages import altered, make_state
-
-MS = 1_000_000
-SESSION = 5
-DEADLINE_NS = 500_000
-
-
-class Bench:
-    """A robot and an edge whose messages pass through the test's hands."""
-
-    def __init__(self, robot, motion, config):
-        self.robot = RobotNode(robot, config, motion, session=SESSION)
-        self.edge = EdgeNode(robot, config, motion)
-        self.codec = Codec(robot, config, motion)
-        self.now_ns = 0
-        self.rows = []
-        self.commands = []
-
-    def tick(self, *, deliver=lambda answer: [answer]):
-        """One period; `deliver` turns the edge's answer into the messages that arrive."""
-        self.sent = self.robot.measure(self.now_ns)
-        self.edge.receive(self.sent)
-        for data in deliver(self.edge.step().data):
-            self.robot.receive(data)
-        command = self.robot.command(self.now_ns + DEADLINE_NS)
-        row = np.zeros(self.robot.schema.width)
-        self.robot.record(row, command)
-        self.robot.advance(command)
-        self.now_ns += MS
-        self.rows.append(row)
-        self.commands.append(command)
-        return command
-
-    def run(self, ticks, **how):
-        for _ in range(ticks):
-            self.tick(**how)
-        return self
-
-    def column(self, name):
-        return self.robot.schema.column(np.array(self.rows), name)
-
-    def doctored(self, change):
-        """`deliver` with the answer's message changed: checked, decoded, changed, encoded."""
-
-        def deliver(answer):
-            return [self.codec.encode_projector(change(self.codec.decode_projector(answer)))]
-
-        return deliver
-
-
-def nothing(answer):
-    return []
+from tests.robot_node.bench import DEADLINE_NS, MS, SESSION, Bench, nothing
 
 
 @pytest.fixture
@@ -158,7 +108,7 @@ def test_beyond_its_age_limit_the_cache_is_not_used_and_the_joints_are_held(benc
     played = bench(**{"loop.hold_after": 2.5e-3}).run(1).run(4, deliver=nothing)
     sources = [command.source.name for command in played.commands]
     assert sources == ["FRESH", "CACHED", "CACHED", "HELD", "HELD"]
-    assert played.commands[3].y is None
+    assert played.commands[3].decision is None
     assert played.commands[3].age_ns == 3 * MS + DEADLINE_NS
 
 
@@ -305,14 +255,18 @@ def test_a_row_tells_what_the_tick_did(bench, robot, model):
     assert column("mode") == 0
     assert column("projector_age_ns") == DEADLINE_NS
     np.testing.assert_array_equal(column("tau"), command.tau)
-    np.testing.assert_array_equal(column("f"), command.y[37:])
+    np.testing.assert_array_equal(column("f"), command.decision.y[37:])
     np.testing.assert_allclose(column("com"), model.com_and_soles(column("q"))[0], atol=1e-14)
     difference = column("com") - column("com_reference")
     assert column("com_error_m") == pytest.approx(np.linalg.norm(difference), rel=1e-12)
     # A fresh solution keeps the rigid contact: what is left is rounding of accelerations near 10.
     assert column("contact_violation_m_s2") < 1e-9
     assert column("projector_sequence") == 2
-    assert column("active_set") == sum(1 << row for row in command.entry.projector.active)
+    projector = played.robot.cache.lookup(command.decision.mode, time_ns=2 * MS).projector
+    assert column("active_set") == sum(1 << row for row in projector.active)
+    # An assisted robot corrects nothing.
+    assert np.isnan(column("contraction"))
+    assert np.isnan(column("staleness_rad"))
     np.testing.assert_allclose(column("foot_slip_m"), 0.0, atol=1e-4)
     assert column("on_board_qps") == 0
 

@@ -39,10 +39,16 @@ class Solver:
     def __init__(self):
         self.asked_for = []
 
-    def projector_for(self, q, v, *, time_ns):
+    def __call__(self, q, v, time_ns):
         self.asked_for.append(time_ns)
         projector = Projector(DOUBLE, np.zeros((1, 1)), np.zeros(0, dtype=int))
         return TimedProjector(projector, time_ns, 2**62)
+
+
+class Kept(list):
+    """Stands for the cache of projectors: what it was given."""
+
+    keep = list.append
 
 
 def play(motion, until_ms, **settings):
@@ -50,17 +56,19 @@ def play(motion, until_ms, **settings):
     config = dataclasses.replace(SwitchConfig(compute_time_scale=1.0), **settings)
     solver = Solver()
     computer = ModelledComputer(solver, ready_after_ns=config.ready_after_ns(config.compute_ns))
-    window = OnBoardWindow(config, motion, computer)
+    cache = Kept()
+    window = OnBoardWindow(config, motion, computer, cache)
     solves, ready = [], []
     for tick in range(until_ms):
-        entry = window.tick(
-            np.zeros(1), np.zeros(1), time_ns=tick * MS, sequence=tick, stamp_ns=tick * MS
-        )
+        window.tick(np.zeros(1), np.zeros(1), time_ns=tick * MS, sequence=tick, stamp_ns=tick * MS)
         if len(solver.asked_for) > len(solves):
             solves.append((tick, solver.asked_for[-1] / MS))
-        if entry is not None:
+        if len(cache) > len(ready):
+            entry = cache[-1]
             assert entry.on_board
+            assert entry.stamp_ns == entry.sequence * MS
             ready.append((entry.sequence, tick))
+    assert len(cache) == len(ready)
     assert window.solves == len(solves)
     return solves, dict(ready)
 

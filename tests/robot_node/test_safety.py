@@ -4,7 +4,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from robot_node.safety import FALLEN_COM_HEIGHT, FALLEN_TILT, JointHold, TorqueGuard, has_fallen
+from robot_node.safety import (
+    FALLEN_COM_HEIGHT,
+    FALLEN_TILT,
+    JointHold,
+    RungChange,
+    TorqueGuard,
+    has_fallen,
+)
 
 HEIGHT = 0.66
 
@@ -171,3 +178,34 @@ def test_an_orientation_that_is_no_number_is_a_fall(robot):
     q = robot.q_standing.copy()
     q[3:7] = np.nan
     assert fallen(q)
+
+
+def test_on_one_rung_a_torque_may_jump(guard):
+    change = RungChange(guard)
+    for sign in (1.0, -1.0, 1.0):
+        tau = sign * guard.limit
+        np.testing.assert_array_equal(change.bound(tau, changed=False), tau)
+
+
+def test_the_first_torque_of_all_may_be_any(guard):
+    np.testing.assert_array_equal(RungChange(guard).bound(guard.limit, changed=True), guard.limit)
+
+
+def test_on_another_rung_each_joint_follows_by_a_tenth_of_its_limit_per_tick(guard):
+    change = RungChange(guard)
+    change.bound(np.zeros(31), changed=False)
+    goal = guard.limit * np.linspace(-0.95, 0.95, 31)
+    applied = [change.bound(goal, changed=k == 0) for k in range(12)]
+    step = 0.1 * guard.limit
+    for k, tau in enumerate(applied):
+        expected = np.clip(goal, -(k + 1) * step, (k + 1) * step)
+        np.testing.assert_allclose(tau, expected, atol=1e-12)
+
+
+def test_a_robot_that_has_caught_up_may_jump_again(guard, rng):
+    # Commands near zero, of either sign, never further from the last than a step.
+    change = RungChange(guard)
+    change.bound(np.zeros(31), changed=False)
+    for k in range(3):
+        change.bound(0.04 * guard.limit * rng.uniform(-1.0, 1.0, 31), changed=k == 0)
+    np.testing.assert_array_equal(change.bound(guard.limit, changed=False), guard.limit)

@@ -65,7 +65,14 @@ def test_quantiles_are_rounded():
 def test_a_robot_report_counts_the_ticks_of_the_task_only():
     report = robot_part(ticks(30, waiting=10))
     assert report["task_seconds"] == 0.02
-    assert report["commands"] == {"fresh": 10, "cached": 10, "held": 0, "on_board": 0}
+    assert report["commands"] == {
+        "fresh": 10,
+        "cached": 10,
+        "held": 0,
+        "on_board": 0,
+        "corrected": 0,
+        "stopping": 0,
+    }
     assert report["com_error_m"] == 0.01
     assert report["contact_violation_m_s2"] == 0.5
     assert report["projector_age_ms"] == {"p50": 1.0, "p99": 1.5, "max": 1.5}

@@ -91,3 +91,15 @@ def test_a_violated_row_is_one_of_its_point(geometry):
     f[3 * 2] = 6.0  # point 2 pulled along +x beyond μ f_z
     violated = np.flatnonzero(geometry.C @ f < geometry.l)
     assert violated.tolist() == [5 * 2 + 1]
+
+
+def test_a_row_of_an_active_set_has_the_same_bit_in_every_mode():
+    # Bit 20 k + i is row i of foot k, left before right.
+    rows = np.array([0, 4, 19])
+    left = 1 << 0 | 1 << 4 | 1 << 19
+    assert ContactMode.LEFT_SUPPORT.active_set(rows) == left
+    assert ContactMode.DOUBLE_SUPPORT.active_set(rows) == left
+    assert ContactMode.RIGHT_SUPPORT.active_set(rows) == left << 20
+    assert ContactMode.DOUBLE_SUPPORT.active_set(rows + 20) == left << 20
+    for mode in ContactMode:
+        assert mode.active_set(np.empty(0, dtype=int)) == 0

@@ -8,6 +8,7 @@ import pytest
 
 from shared.robots import Foot
 from shared.robots.description import sole_frame_name
+from shared.wbc.model import RowMultipliers
 
 # Central differences over ±1e-6 s: cancellation leaves 2e-10 of the value, measured. A wrong frame
 # or sign is off by the whole of it.
@@ -29,7 +30,8 @@ def close(actual, expected, tolerance):
 def test_velocities_are_the_jacobians_times_v(model, states):
     for q, v in states:
         kinematics, jacobians = model.kinematics(q, v), model.jacobians(q)
-        close(kinematics.com_velocity, jacobians.J_com @ v, ROUNDING)
+        in_world = kinematics.world_from_base @ jacobians.J_com @ v
+        close(kinematics.com_velocity, in_world, ROUNDING)
         for foot in Foot:
             close(kinematics.sole_velocity[foot], jacobians.J_sole[foot] @ v, ROUNDING)
 
@@ -51,33 +53,33 @@ def test_com_velocity_is_the_rate_of_the_com(model, robot, states):
         close(model.kinematics(q, v).com_velocity, rate, DIFFERENCE_TOLERANCE)
 
 
-def test_sole_drift_is_the_rate_of_the_sole_velocity_at_constant_v(model, robot, states):
+def test_sole_acceleration_is_the_rate_of_the_sole_velocity_at_constant_v(model, robot, states):
     for q, v in states[:20]:
         before = model.kinematics(flow(robot, q, v, -STEP), v).sole_velocity
         after = model.kinematics(flow(robot, q, v, STEP), v).sole_velocity
-        drift = model.kinematics(q, v).sole_drift
+        drift = model.kinematics(q, v).sole_acceleration
         for foot in Foot:
             rate = (after[foot] - before[foot]) / (2 * STEP)
             close(drift[foot], rate, DIFFERENCE_TOLERANCE)
 
 
-def test_com_drift_is_the_rate_of_the_com_velocity_at_constant_v(model, robot, states):
+def test_com_acceleration_is_the_rate_of_the_com_velocity_at_constant_v(model, robot, states):
     for q, v in states[:20]:
         before = model.kinematics(flow(robot, q, v, -STEP), v).com_velocity
         after = model.kinematics(flow(robot, q, v, STEP), v).com_velocity
         rate = (after - before) / (2 * STEP)
-        close(model.kinematics(q, v).com_drift, rate, DIFFERENCE_TOLERANCE)
+        close(model.kinematics(q, v).com_acceleration, rate, DIFFERENCE_TOLERANCE)
 
 
 def test_drifts_vanish_at_rest(model, robot):
     kinematics = model.kinematics(robot.q_standing, np.zeros(model.nv))
-    np.testing.assert_array_equal(kinematics.com_drift, 0.0)
+    np.testing.assert_array_equal(kinematics.com_acceleration, 0.0)
     for foot in Foot:
-        np.testing.assert_array_equal(kinematics.sole_drift[foot], 0.0)
+        np.testing.assert_array_equal(kinematics.sole_acceleration[foot], 0.0)
 
 
 def test_bias_force_at_rest_is_the_weight(model, robot):
-    h = model.kinematics(robot.q_standing, np.zeros(model.nv)).h
+    h = model.kinematics(robot.q_standing, np.zeros(model.nv)).force
     # The base stands upright: its vertical entry carries the whole robot.
     assert h[2] == pytest.approx(robot.mass * 9.81, rel=1e-12)
     np.testing.assert_allclose(h[:2], 0.0, atol=1e-9 * h[2])
@@ -88,8 +90,33 @@ def test_sole_acceleration_is_the_jacobian_times_a_plus_drift(model, states, rng
         a = rng.standard_normal(model.nv)
         kinematics, jacobians = model.kinematics(q, v), model.jacobians(q)
         for foot in Foot:
-            expected = jacobians.J_sole[foot] @ a + kinematics.sole_drift[foot]
-            close(model.sole_acceleration(foot, q, v, a), expected, ROUNDING)
+            expected = jacobians.J_sole[foot] @ a + kinematics.sole_acceleration[foot]
+            velocity, acceleration = model.sole_motion(foot, q, v, a)
+            close(velocity, jacobians.J_sole[foot] @ v, ROUNDING)
+            close(acceleration, expected, ROUNDING)
+
+
+def test_kinematics_at_an_acceleration_are_those_of_inverse_dynamics_and_of_the_rates(
+    model, states, rng
+):
+    for q, v in states:
+        a = rng.standard_normal(model.nv)
+        wrenches = {foot: 100.0 * rng.standard_normal(6) for foot in Foot}
+        drift, now, jacobians = (
+            model.kinematics(q, v),
+            model.kinematics(q, v, a, wrenches),
+            model.jacobians(q),
+        )
+        np.testing.assert_array_equal(now.force, model.inverse_dynamics(q, v, a, wrenches))
+        in_world = now.world_from_base @ jacobians.J_com @ a
+        close(now.com_acceleration, drift.com_acceleration + in_world, ROUNDING)
+        for foot in Foot:
+            expected = drift.sole_acceleration[foot] + jacobians.J_sole[foot] @ a
+            close(now.sole_acceleration[foot], expected, ROUNDING)
+        # Positions and velocities do not depend on it.
+        close(now.com, drift.com, ROUNDING)
+        close(now.com_velocity, drift.com_velocity, ROUNDING)
+        np.testing.assert_array_equal(now.a, a)
 
 
 @pytest.mark.parametrize("feet", [(), (Foot.LEFT,), (Foot.RIGHT,), (Foot.LEFT, Foot.RIGHT)])
@@ -99,7 +126,7 @@ def test_inverse_dynamics_adds_up_from_its_terms(model, robot, states, rng, feet
         a = rng.standard_normal(model.nv)
         wrenches = {foot: 100.0 * rng.standard_normal(6) for foot in feet}
         J = {foot: frame_jacobian(robot, data, q, foot) for foot in feet}
-        expected = pin.crba(robot.model, data, q) @ a + model.kinematics(q, v).h
+        expected = pin.crba(robot.model, data, q) @ a + model.kinematics(q, v).force
         for foot, wrench in wrenches.items():
             expected = expected - J[foot].T @ wrench
         close(model.inverse_dynamics(q, v, a, wrenches), expected, ROUNDING)
@@ -126,13 +153,14 @@ def test_terms_are_copies_that_a_later_call_does_not_change(model, states):
     before = [
         array.copy()
         for array in (
-            kinematics.h,
+            kinematics.force,
             kinematics.com,
             kinematics.com_velocity,
-            kinematics.com_drift,
+            kinematics.com_acceleration,
             kinematics.world_from_base,
             kinematics.sole_velocity[Foot.LEFT],
-            kinematics.sole_drift[Foot.LEFT],
+            kinematics.sole_acceleration[Foot.LEFT],
+            kinematics.sole_placement[Foot.LEFT].translation,
             jacobians.M_unactuated,
             jacobians.J_com,
             jacobians.J_sole[Foot.LEFT],
@@ -142,14 +170,19 @@ def test_terms_are_copies_that_a_later_call_does_not_change(model, states):
     model.kinematics(*states[3])
     model.jacobians(states[3].q)
     model.sole_placements(states[3].q)
+    model.inverse_dynamics(*states[3], np.ones(model.nv), {Foot.LEFT: np.ones(6)})
+    model.transposed(states[3].q, RowMultipliers.zero(model.nv))
+    model.sole_motion(Foot.LEFT, *states[3], np.ones(model.nv))
+    model.com_and_soles(states[3].q)
     after = (
-        kinematics.h,
+        kinematics.force,
         kinematics.com,
         kinematics.com_velocity,
-        kinematics.com_drift,
+        kinematics.com_acceleration,
         kinematics.world_from_base,
         kinematics.sole_velocity[Foot.LEFT],
-        kinematics.sole_drift[Foot.LEFT],
+        kinematics.sole_acceleration[Foot.LEFT],
+        kinematics.sole_placement[Foot.LEFT].translation,
         jacobians.M_unactuated,
         jacobians.J_com,
         jacobians.J_sole[Foot.LEFT],

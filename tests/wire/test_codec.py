@@ -21,6 +21,7 @@ MODES = list(ContactMode)
 # The sum of an array must stay finite for it to pass: 1e300 is far beyond any robot.
 NUMBERS = st.floats(-1e300, 1e300)
 TIMES = st.integers(-(2**62), 2**62)
+HOLDS = st.none() | st.tuples(*[st.integers(-1, 2**63 - 1)] * len(MODES))
 
 
 @pytest.fixture(scope="module")
@@ -35,16 +36,16 @@ def half_codec(robot, configured, motion):
 
 def assert_same(left, right):
     """Field by field, arrays to the last bit."""
-    for field in dataclasses.fields(left):
-        a, b = getattr(left, field.name), getattr(right, field.name)
-        if dataclasses.is_dataclass(a):
+    assert type(left) is type(right)
+    if dataclasses.is_dataclass(left):
+        for field in dataclasses.fields(left):
+            assert_same(getattr(left, field.name), getattr(right, field.name))
+    elif isinstance(left, tuple):
+        assert len(left) == len(right)
+        for a, b in zip(left, right, strict=True):
             assert_same(a, b)
-        elif isinstance(a, tuple):
-            assert len(a) == len(b)
-            for x, y in zip(a, b, strict=True):
-                assert_same(x, y)
-        else:
-            np.testing.assert_array_equal(a, b, err_msg=field.name)
+    else:
+        np.testing.assert_array_equal(left, right)
 
 
 @settings(max_examples=50)
@@ -59,8 +60,15 @@ def test_states_arrive_to_the_last_bit(data, codec, robot):
         mode=data.draw(st.sampled_from(MODES)),
         q=data.draw(hnp.arrays(np.float64, robot.model.nq, elements=NUMBERS)),
         v=data.draw(hnp.arrays(np.float64, robot.model.nv, elements=NUMBERS)),
+        holds=data.draw(HOLDS),
     )
     assert_same(codec.decode_state(codec.encode_state(state)), state)
+
+
+def test_a_robot_that_holds_nothing_is_not_one_that_wants_projectors(codec, robot):
+    for holds in (None, (-1, -1, -1), (0, -1, 7)):
+        state = make_state(robot, holds=holds)
+        assert codec.decode_state(codec.encode_state(state)).holds == holds
 
 
 @settings(max_examples=30)
@@ -138,7 +146,15 @@ def test_either_precision_is_understood_by_either_end(codec, half_codec, stacks,
 
 
 def test_states_stay_below_a_kilobyte(codec, robot):
-    state = make_state(robot, session=2**32 - 1, sequence=2**62, stamp_ns=2**62, time_ns=2**62)
+    far = 2**62
+    state = make_state(
+        robot,
+        session=2**32 - 1,
+        sequence=far,
+        stamp_ns=far,
+        time_ns=far,
+        holds=len(MODES) * (far,),
+    )
     assert len(codec.encode_state(state)) <= UPLINK.max_bytes == 1_000
 
 

@@ -14,21 +14,7 @@ from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.codec import Codec
 from shared.wire.messages import TimedProjector
 from tests.messages import altered, make_answer, make_projector, make_state
-
-# The names of docs/wire.md that a codec can give; `session`, `stale`, `future` are the nodes'.
-REASONS = {
-    "oversized",
-    "undecodable",
-    "version",
-    "kind",
-    "config",
-    "plan",
-    "mode",
-    "dtype",
-    "layout",
-    "shape",
-    "not_finite",
-}
+from tests.wire.refusing import NOT_FINITE, flip, outcome, poison, reason_of
 
 
 @pytest.fixture(scope="module")
@@ -47,23 +33,8 @@ def answer_bytes(codec, stacks):
     return codec.encode_projector(make_answer(stacks[ContactMode.DOUBLE_SUPPORT], rng))
 
 
-def reason_of(decode, data):
-    with pytest.raises(MessageRefused) as refusal:
-        decode(data)
-    assert refusal.value.reason in REASONS
-    return refusal.value.reason
-
-
-def outcome(decode, data):
-    """The message, or the reason why it is refused; any other exception passes through."""
-    try:
-        return decode(data)
-    except MessageRefused as refusal:
-        assert refusal.reason in REASONS  # noqa: PT017  (both outcomes are allowed here)
-        return refusal.reason
-
-
 def assert_usable(state):
+    assert state.holds is None or all(sequence >= -1 for sequence in state.holds)
     assert np.isfinite(state.q).all()
     assert np.isfinite(state.v).all()
     assert (state.q.shape, state.v.shape) == ((38,), (37,))
@@ -177,6 +148,46 @@ def test_a_field_of_any_other_type_is_refused(codec, state_bytes, name, value):
         assert getattr(result, name) == value
 
 
+@settings(max_examples=150)
+@given(value=ANYTHING)
+def test_what_a_robot_says_to_hold_is_a_number_per_mode_or_nothing(codec, state_bytes, value):
+    data = altered(state_bytes, lambda fields: fields.update(holds=value))
+    result = outcome(codec.decode_state, data)
+    if isinstance(result, str):
+        assert result in {"shape", "oversized"}
+    elif value is None:
+        assert result.holds is None
+    else:
+        assert result.holds == tuple(value)
+        assert all(type(sequence) is int and sequence >= -1 for sequence in value)
+
+
+@pytest.mark.parametrize(
+    "holds",
+    [
+        [],
+        [1, 2],
+        [1, 2, 3, 4],
+        [1, 2, -2],
+        [1, 2, 2**63],
+        [1, 2, -(2**63)],
+        [1, 2, 3.0],
+        [1, 2, True],
+        [1, 2, None],
+        [1, 2, "3"],
+        [1, 2, [3]],
+        {"0": 1, "1": 2, "2": 3},
+        b"\x01\x02\x03",
+        7,
+        False,
+    ],
+    ids=str,
+)
+def test_other_things_to_hold_are_refused(codec, state_bytes, holds):
+    data = altered(state_bytes, lambda fields: fields.update(holds=holds))
+    assert reason_of(codec.decode_state, data) == "shape"
+
+
 @pytest.mark.parametrize("name", ["session", "sequence", "stamp_ns", "time_ns", "mode", "q", "v"])
 def test_a_state_without_a_field_is_refused(codec, state_bytes, name):
     data = altered(state_bytes, lambda fields: fields.pop(name))
@@ -246,7 +257,14 @@ def test_an_end_with_other_settings_is_refused(
 
 @pytest.mark.parametrize(
     "setting",
-    [{"seed": 3}, {"controller": "pr"}, {"link.loss": 0.5}, {"loop.hold_after": 1.0}],
+    [
+        {"seed": 3},
+        {"controller": "pr"},
+        {"controller": "lc"},
+        {"correction.level": "c", "correction.damping": 0.05},
+        {"link.loss": 0.5},
+        {"loop.hold_after": 1.0},
+    ],
     ids=str,
 )
 def test_settings_of_one_end_only_do_not_matter(robot, configured, motion, state_bytes, setting):
@@ -322,16 +340,6 @@ def test_an_answer_without_a_projector_of_its_own_mode_is_refused(codec, stacks,
     timed = TimedProjector(make_projector(double, rng), 0, 1)
     data = codec.encode_projector(make_answer(left, rng, projectors=(timed,)))
     assert reason_of(codec.decode_projector, data) in {"mode", "shape"}
-
-
-# Quiet and signalling, either sign; a signalling NaN is what a flipped bit makes of an infinity.
-NOT_FINITE = {
-    "nan": 0x7FF8_0000_0000_0000,
-    "negative nan": 0xFFF8_0000_0000_0000,
-    "signalling nan": 0x7FF0_0000_0000_0001,
-    "infinity": 0x7FF0_0000_0000_0000,
-    "negative infinity": 0xFFF0_0000_0000_0000,
-}
 
 
 @pytest.mark.parametrize("bits", NOT_FINITE.values(), ids=NOT_FINITE)
@@ -418,15 +426,3 @@ def test_odd_msgpack_is_refused(codec, data):
 def test_a_refusal_names_its_check_first():
     assert str(MessageRefused("layout", "LEFT_SUPPORT")) == "layout: LEFT_SUPPORT"
     assert str(MessageRefused("layout")) == "layout"
-
-
-def flip(data: bytes, bit: int) -> bytes:
-    damaged = bytearray(data)
-    damaged[bit // 8] ^= 1 << bit % 8
-    return bytes(damaged)
-
-
-def poison(fields, name, position, bits):
-    numbers = np.frombuffer(fields[name], dtype="<u8").copy()
-    numbers[position] = bits
-    fields[name] = numbers.tobytes()

@@ -1,0 +1,159 @@
+"""LC: the last solution corrected by a stale factorisation, Sec. 2 of `docs/locally-corrected.md`.
+
+Each tick takes the exact residuals of all rows at the last solution, by the passes that b needs
+anyway; adds what the factorisation makes of them; decides the active set; and recovers the torque
+with fresh dynamics. Now and then a second correction tells how much the first one has left.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from robot_node.cache import CorrectorEntry, FactorisationCache
+from robot_node.controllers import Decision, Source
+from shared.config import CorrectionConfig
+from shared.motion.reference import Reference
+from shared.wbc.contacts import ContactMode
+from shared.wbc.correction import Iterate
+from shared.wbc.model import Kinematics, WholeBodyModel
+from shared.wbc.stack import N_DYNAMICS, Stack
+
+# A probe of the contraction every so many ticks, and its weight in the average: 50 ms.
+_PROBE_TICKS = 10
+_AVERAGE = 0.2
+# Of forces [N] against accelerations in the size of a correction.
+_FORCE_SCALE = 0.1
+
+
+class Contraction:
+    """How much of the error a correction leaves: the ratio of two successive ones at one state.
+
+    Below 1 corrections converge. Both are from exact residuals at the same state, so that noise and
+    motion, which make the error, do not enter the ratio.
+    """
+
+    def __init__(self) -> None:
+        self.estimate = math.nan
+
+    def observe(self, first: float, second: float) -> None:
+        """Sizes of a correction and of the next one."""
+        if first <= 0.0:
+            return
+        ratio = second / first
+        known = not math.isnan(self.estimate)
+        self.estimate = self.estimate + _AVERAGE * (ratio - self.estimate) if known else ratio
+
+
+class LocallyCorrected:
+    """LC: y⁺ = y + K₀ r(y), the friction rows decided anew, from the newest factorisation."""
+
+    ages = False
+
+    def __init__(
+        self,
+        cache: FactorisationCache,
+        model: WholeBodyModel,
+        stacks: dict[ContactMode, Stack],
+        config: CorrectionConfig,
+    ) -> None:
+        self.cache = cache
+        self._model = model
+        self._stacks = stacks
+        self._config = config
+        self._contraction = Contraction()
+        self._iterate = Iterate.zero(stacks[ContactMode.DOUBLE_SUPPORT])
+        self._steps = self._tick = 0
+        self._uncorrected = False
+        self._stack: Stack
+        self._reference: Reference
+        self._now: Kinematics
+        self._residual: np.ndarray
+
+    @property
+    def doubtful(self) -> bool:
+        return self._contraction.estimate > self._config.stop_above
+
+    @property
+    def wants_refresh(self) -> bool:
+        """Whether a factorisation at the present state would help."""
+        return self._contraction.estimate > self._config.refresh_above
+
+    def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:
+        stack = self._stacks[reference.mode]
+        self._steps = max(1, self._config.iterations)
+        if stack.mode is not self._iterate.mode:
+            self._iterate = self._iterate.in_mode(stack, self._model.nv)
+            self._steps = max(self._steps, self._config.iterations_at_switch)
+        self._uncorrected = (
+            self._config.iterations == 0 or self._contraction.estimate > self._config.give_up_above
+        )
+        if self._uncorrected:
+            self._iterate, self._steps = Iterate.zero(stack), 1
+        self._stack, self._reference = stack, reference
+        self._linearise(q, v)
+
+    def command(self, *, time_ns: int) -> Decision | None:
+        entry = self.cache.lookup(self._stack.mode)
+        if entry is None:
+            return None
+        q, v = self._now.q, self._now.v
+        self._tick += 1
+        probing = self._tick % _PROBE_TICKS == 0
+        sizes = []
+        for step in range(self._steps + probing):
+            if step > 0:
+                self._linearise(q, v)
+            before = self._iterate.y
+            corrected = entry.corrector.step(
+                self._iterate,
+                self._residual,
+                self._model,
+                self._now,
+                relaxation=self._config.relaxation,
+            )
+            if corrected is None:
+                self._iterate = Iterate.zero(self._stack)
+                return None
+            self._iterate, active_set = corrected
+            if step == 0:
+                first = self._iterate
+            sizes.append(self._size(self._iterate.y - before))
+        if probing:
+            self._contraction.observe(*sizes[-2:])
+            if self._uncorrected:  # the probe was a look ahead only
+                self._iterate = first
+        y = self._iterate.y
+        force = self._model.inverse_dynamics(q, v, y[: self._model.nv], self._wrenches(y))
+        posture = entry.corrector.factorisation.posture
+        return Decision(
+            tau=force[N_DYNAMICS:].copy(),
+            y=y,
+            mode=self._stack.mode,
+            active_set=active_set,
+            source=self._source(entry),
+            sequence=entry.sequence,
+            stamp_ns=entry.stamp_ns,
+            contraction=self._contraction.estimate,
+            staleness=float(np.abs(q[7:] - posture).max()),
+        )
+
+    def _source(self, entry: CorrectorEntry) -> Source:
+        if self._uncorrected:
+            return Source.CACHED
+        return Source.ON_BOARD if entry.on_board else Source.CORRECTED
+
+    def _linearise(self, q: np.ndarray, v: np.ndarray) -> None:
+        """The residuals of all rows at the iterate and the present state."""
+        y = self._iterate.y
+        a = y[: self._model.nv]
+        self._now = self._model.kinematics(q, v, a, self._wrenches(y))
+        self._residual = self._stack.right_hand_side(self._now, self._reference)
+
+    def _size(self, correction: np.ndarray) -> float:
+        a, f = correction[: self._model.nv], _FORCE_SCALE * correction[self._model.nv :]
+        return math.sqrt(a @ a + f @ f)
+
+    def _wrenches(self, y: np.ndarray) -> dict:
+        return self._stack.contacts.wrenches(y[self._model.nv :])

@@ -1,0 +1,198 @@
+"""A stale factorisation corrected by exact residuals: chord steps, and the active set re-decided.
+
+In one contact mode, without friction rows, the optimum of the whole-body QP is linear in (g, e).
+With H = blockdiag(AᵀA, ω_f I) and g = (Aᵀs, 0),
+
+    [ H  −Eᵀ ] [ y ]   [ g ]        [ y ]   [  P   Q ] [ g ]
+    [ E   0  ] [ ν ] = [ e ],       [ ν ] = [ −Qᵀ  T ] [ e ].
+
+The edge computes P, Q, T at the posture it knows. The robot, at its own state, takes the exact
+residuals at its previous solution and corrects it by these stale blocks; the friction rows C f ≥ l
+are constant, so it decides the active set itself. Level B keeps the stale trade-off between tasks,
+level C takes the exact gradient too and has the fresh optimum as its fixed point. In the terms of
+multi-level real-time iterations: Bock, Diehl, Kostina & Schlöder 2007; Kirches, Wirsching, Bock &
+Schlöder 2012. `docs/locally-corrected.md` derives it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+
+from shared.wbc.contacts import FORCES_PER_FOOT, ContactMode
+from shared.wbc.model import Kinematics, RowMultipliers, WholeBodyModel
+from shared.wbc.projector import spd_inverse
+from shared.wbc.stack import N_DYNAMICS, ROWS_PER_CONTACT, Stack, StackMatrices
+
+
+@dataclass(frozen=True, slots=True)
+class Factorisation:
+    """Blocks of the inverse KKT matrix of one contact mode at one posture.
+
+    `P` (n, n) symmetric, `Q` (n, n_e), `T` (n_e, n_e) symmetric, `A` (n_t, nv) the √ω-weighted task
+    rows; `posture` (nv − 6,) joint positions where they were computed [rad]. Nothing in it depends
+    on where the base is or how it is turned.
+    """
+
+    mode: ContactMode
+    P: np.ndarray
+    Q: np.ndarray
+    T: np.ndarray
+    A: np.ndarray
+    posture: np.ndarray
+
+
+def factorise_kkt(
+    stack: Stack, matrices: StackMatrices, posture: np.ndarray, *, damping: float = 0.0
+) -> Factorisation:
+    """The blocks at one configuration. `numpy.linalg.LinAlgError` if the rows are dependent.
+
+    `damping` is added to the diagonal of AᵀA: a larger H than the true one, for level C.
+    """
+    n_a, n_f = stack.layout.n_accelerations, stack.layout.n_forces
+    n_e = matrices.E_a.shape[0]
+    H_a = matrices.A.T @ matrices.A
+    H_a.flat[:: n_a + 1] += damping
+    P_0 = np.zeros((n_a + n_f, n_a + n_f))
+    P_0[:n_a, :n_a] = spd_inverse(H_a)
+    P_0.flat[n_a * (n_a + n_f + 1) :: n_a + n_f + 1] = 1.0 / stack.force_weight
+    E = np.zeros((n_e, n_a + n_f))
+    E[:, :n_a] = matrices.E_a
+    E[:N_DYNAMICS, n_a:] = matrices.E_f
+    E_P = E @ P_0
+    T = spd_inverse(E_P @ E.T)
+    Q = E_P.T @ T
+    return Factorisation(stack.mode, P_0 - Q @ E_P, Q, T, matrices.A, posture)
+
+
+@dataclass(slots=True)
+class Iterate:
+    """Where the corrections have come to in one contact mode: y (n,) and ν (n_e,)."""
+
+    mode: ContactMode
+    y: np.ndarray
+    nu: np.ndarray
+
+    @staticmethod
+    def zero(stack: Stack) -> Iterate:
+        """From here one step of level B is the stale optimum with a fresh active set."""
+        return Iterate(
+            stack.mode, np.zeros(stack.layout.n_unknowns), np.zeros(stack.equality_rows.stop)
+        )
+
+    def in_mode(self, stack: Stack, n_a: int) -> Iterate:
+        """The start in another contact mode: same accelerations, and forces of feet that stay."""
+        iterate = Iterate.zero(stack)
+        iterate.y[:n_a] = self.y[:n_a]
+        for k, foot in enumerate(stack.mode.feet):
+            if foot in self.mode.feet:
+                j = self.mode.feet.index(foot)
+                iterate.y[_forces(n_a, k)] = self.y[_forces(n_a, j)]
+        return iterate
+
+
+class Corrector:
+    """Chord steps with one factorisation. Made when the factorisation arrives, used every tick.
+
+    Raises `numpy.linalg.LinAlgError` if the forces' block of P is not positive definite.
+    Not shared between threads: the small QP keeps its active set from one step to the next.
+    """
+
+    def __init__(self, stack: Stack, factorisation: Factorisation, *, level: str) -> None:
+        self.factorisation = factorisation
+        self._stack = stack
+        self._level = level
+        n_a = stack.layout.n_accelerations
+        P, Q, A = factorisation.P, factorisation.Q, factorisation.A
+        # From the residuals of all rows to the correction of y.
+        self._K = np.ascontiguousarray(np.hstack([Q, P[:, :n_a] @ A.T]))
+        self._regularisation = stack.force_weight * P[:, n_a:]
+        # λ acts through forces: moving f in the metric of P_ff⁻¹ moves y by P Cᵀ λ.
+        self._F = spd_inverse(P[n_a:, n_a:])
+        self._y_from_f = np.ascontiguousarray(P[:, n_a:] @ self._F)
+        self._qp = daqp.Model()
+        C, l = stack.contacts.C, stack.contacts.l  # noqa: E741
+        no_bound = np.full(len(l), 1e30)
+        self._qp.setup(self._F, np.zeros(len(self._F)), C, no_bound, l, _SENSE[: len(l)])
+        if self._project(np.zeros(len(self._F))) is None:
+            raise np.linalg.LinAlgError("the forces' block of P is not definite enough")
+
+    def step(
+        self,
+        iterate: Iterate,
+        residual: np.ndarray,
+        model: WholeBodyModel,
+        now: Kinematics,
+        *,
+        relaxation: float = 1.0,
+    ) -> tuple[Iterate, int] | None:
+        """The corrected iterate and its active set as a bit mask; None if it is not finite.
+
+        `residual` (n_rows,) is b − M y at the present state, `now` the kinematics there.
+        """
+        stack = self._stack
+        n_a = stack.layout.n_accelerations
+        y, nu = iterate.y, iterate.nu
+        if self._level == "b":
+            y = y + relaxation * (self._K @ residual[:-1] - self._regularisation @ y[n_a:])
+        else:
+            gradient = self._gradient(iterate, residual, model, now)
+            P, Q, T = self.factorisation.P, self.factorisation.Q, self.factorisation.T
+            equalities = residual[stack.equality_rows]
+            y = y + relaxation * (Q @ equalities - P @ gradient)
+            nu = nu + relaxation * (Q.T @ gradient + T @ equalities)
+        f = y[n_a:]
+        if not np.isfinite(y).all():
+            return None
+        projected = self._project(f)
+        if projected is None:
+            return None
+        f_best, active = projected
+        moved = f_best - f
+        y = y + self._y_from_f @ moved
+        if self._level != "b":
+            nu = nu - self.factorisation.Q[n_a:].T @ (self._F @ moved)
+        return Iterate(stack.mode, y, nu), stack.mode.active_set(active)
+
+    def _project(self, f: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """The forces nearest to f that obey the friction rows, and which rows are active."""
+        try:
+            self._qp.update(f=-(self._F @ f))
+            nearest, _, flag, info = self._qp.solve()
+        except RuntimeError:  # how daqp says that it cannot
+            return None
+        return (np.asarray(nearest), np.flatnonzero(info["lam"])) if flag == 1 else None
+
+    def _gradient(
+        self, iterate: Iterate, residual: np.ndarray, model: WholeBodyModel, now: Kinematics
+    ) -> np.ndarray:
+        """H y − Aᵀ s − Eᵀ ν at the present state, (n,); level B with adjoint has a stale Aᵀ."""
+        stack = self._stack
+        n_a = stack.layout.n_accelerations
+        nu = iterate.nu
+        multipliers = RowMultipliers.zero(model.nv)
+        multipliers.dynamics += nu[:N_DYNAMICS]
+        gradient = np.empty_like(iterate.y)
+        for k, foot in enumerate(stack.mode.feet):
+            start = N_DYNAMICS + ROWS_PER_CONTACT * k
+            multipliers.soles[foot] = nu[start : start + ROWS_PER_CONTACT]
+            lever = stack.contacts.wrench_map[foot].T @ model.sole_motion_of_base(
+                foot, now, nu[:N_DYNAMICS]
+            )
+            f = iterate.y[_forces(n_a, k)]
+            gradient[_forces(n_a, k)] = stack.force_weight * f + lever
+        if self._level == "c":
+            stack.add_task_multipliers(residual, multipliers)
+        gradient[:n_a] = -model.transposed(now.q, multipliers)
+        if self._level == "b_adjoint":
+            gradient[:n_a] -= self.factorisation.A.T @ residual[stack.task_rows]
+        return gradient
+
+
+_SENSE = np.zeros(64, dtype=np.int32)
+
+
+def _forces(n_a: int, k: int) -> slice:
+    return slice(n_a + k * FORCES_PER_FOOT, n_a + (k + 1) * FORCES_PER_FOOT)
