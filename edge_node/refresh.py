@@ -7,7 +7,8 @@ says that the edge is there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,12 +17,16 @@ from shared.motion.reference import Motion
 from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState
 
+_MAX_BACKOFF = 16.0
+
 
 @dataclass(frozen=True, slots=True)
 class _Sent:
     sequence: int
     stamp_ns: int
     posture: np.ndarray
+    tries: int = 1
+    arrived: bool = False
 
 
 class FactorisationRefresh:
@@ -31,7 +36,7 @@ class FactorisationRefresh:
         self._config = config
         self._motion = motion
         self._session = -1
-        self._answered_ns = 0
+        self._answered_ns = self._round_trip_ns = 0
         self._sent: dict[ContactMode, _Sent] = {}
 
     def due(self, state: RobotState, holds: tuple[int, ...]) -> tuple[ContactMode, ...] | None:
@@ -39,8 +44,9 @@ class FactorisationRefresh:
         if state.session != self._session:
             self._session = state.session
             self._sent.clear()
+        self._note_arrivals(state, holds)
         needed = {state.mode, self._next_mode(state)}
-        modes = tuple(mode for mode in ContactMode if self._is_due(mode, state, holds, needed))
+        modes = tuple(mode for mode in ContactMode if self._is_due(mode, state, needed))
         silent = state.stamp_ns - self._answered_ns >= self._config.retry_ns
         return modes if modes or silent else None
 
@@ -48,23 +54,35 @@ class FactorisationRefresh:
         """Remember that these modes were factorised at this state and sent."""
         self._answered_ns = state.stamp_ns
         for mode in modes:
-            self._sent[mode] = _Sent(state.sequence, state.stamp_ns, state.q[7:].copy())
+            before = self._sent.get(mode)
+            tries = 1 if before is None or before.arrived else before.tries + 1
+            posture = state.q[7:].copy()
+            self._sent[mode] = _Sent(state.sequence, state.stamp_ns, posture, tries)
 
-    def _is_due(
-        self,
-        mode: ContactMode,
-        state: RobotState,
-        holds: tuple[int, ...],
-        needed: set[ContactMode],
-    ) -> bool:
+    def _note_arrivals(self, state: RobotState, holds: tuple[int, ...]) -> None:
+        for mode, sent in self._sent.items():
+            if holds[mode] >= sent.sequence and not sent.arrived:
+                self._round_trip_ns = state.stamp_ns - sent.stamp_ns
+                self._sent[mode] = replace(sent, arrived=True)
+
+    def _is_due(self, mode: ContactMode, state: RobotState, needed: set[ContactMode]) -> bool:
         sent = self._sent.get(mode)
         if sent is None:
             return True
-        arrived = holds[mode] >= sent.sequence
-        if not arrived and state.stamp_ns - sent.stamp_ns >= self._config.retry_ns:
+        elapsed_ns = state.stamp_ns - sent.stamp_ns
+        if not sent.arrived and elapsed_ns >= self._retry_after_ns(sent):
             return True
-        moved = float(np.abs(state.q[7:] - sent.posture).max())
-        return mode in needed and moved > self._config.refresh_distance
+        if elapsed_ns < self._config.refresh_interval_ns:
+            return False
+        # The root of the mean square, over which the noise of many joints averages out.
+        moved = state.q[7:] - sent.posture
+        distance = math.sqrt(moved @ moved / len(moved))
+        return mode in needed and distance > self._config.refresh_distance
+
+    def _retry_after_ns(self, sent: _Sent) -> float:
+        """Twice as long after every try; longer than the last one took to come and be told."""
+        backoff = min(2.0 ** (sent.tries - 1), _MAX_BACKOFF)
+        return max(self._config.retry_ns * backoff, 1.2 * self._round_trip_ns)
 
     def _next_mode(self, state: RobotState) -> ContactMode:
         switch_ns = self._motion.next_switch(state.time_ns)

@@ -50,10 +50,10 @@ class RungChange:
     def bound(self, tau: np.ndarray, *, changed: bool) -> np.ndarray:
         """The torque to apply (nv − 6,) [N m]; `changed` in the first tick on another rung."""
         if self._last is not None and (changed or not self._following):
-            moved = np.minimum(np.maximum(tau - self._last, -self._step), self._step)
-            bounded = self._last + moved
-            self._following = bool(np.array_equal(bounded, tau))
-            tau = tau if self._following else bounded
+            jump = tau - self._last
+            self._following = bool(np.all(np.abs(jump) <= self._step))
+            if not self._following:
+                tau = self._last + np.minimum(np.maximum(jump, -self._step), self._step)
         self._last = tau
         return tau
 

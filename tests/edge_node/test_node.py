@@ -273,8 +273,8 @@ def test_what_is_sent_later_has_the_modes_that_are_due_only(edge, codec, state, 
     edge.receive(state(0, holds=NOTHING_HELD))
     edge.step()
     q = robot.q_standing.copy()
-    q[12] += 0.11
-    edge.receive(state(1, q=q, holds=(0, 0, 0)))
+    q[7:] += 0.11
+    edge.receive(state(1, stamp_ns=61_000_000, q=q, holds=(0, 0, 0)))
     message = codec.decode_factorisations(edge.step().data)
     assert [each.mode for each in message.factorisations] == [ContactMode.DOUBLE_SUPPORT]
     np.testing.assert_allclose(message.factorisations[0].posture, q[7:], atol=1e-7)

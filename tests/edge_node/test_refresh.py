@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from edge_node.refresh import FactorisationRefresh
@@ -15,7 +17,7 @@ from tests.messages import make_state
 MS = 1_000_000
 DOUBLE, LEFT, RIGHT = ContactMode
 EVERY_MODE = (DOUBLE, LEFT, RIGHT)
-CONFIG = CorrectionConfig(refresh_distance=0.1, retry_ns=100 * MS)
+CONFIG = CorrectionConfig(refresh_distance=0.1, refresh_interval_ns=0, retry_ns=100 * MS)
 
 
 class Plan:
@@ -79,9 +81,10 @@ class Bench:
         """The modes due; whether or not an answer without any is, too."""
         return self.due(tick) or ()
 
-    def move(self, joint, distance):
+    def move(self, distance):
+        """Every joint, one this way and the next one that."""
         self.q = self.q.copy()
-        self.q[7 + joint] += distance
+        self.q[7:] += distance * np.resize([1.0, -1.0], len(self.q) - 7)
 
 
 @pytest.fixture
@@ -109,8 +112,7 @@ def test_what_was_not_sent_is_due_again(bench):
 def test_nothing_is_due_while_what_was_sent_has_arrived_and_the_robot_stays_near(bench):
     served = bench(WALK)
     served.serve(0)
-    served.move(3, 0.0999)
-    served.move(4, -0.0999)
+    served.move(0.0999)
     assert [served.modes(tick) for tick in range(1, 1000)] == [()] * 999
 
 
@@ -130,7 +132,7 @@ def test_when_there_is_nothing_to_send_a_sign_of_life_is_due_every_retry_period(
 def test_an_answer_with_something_in_it_is_a_sign_of_life(bench):
     served = bench()
     served.serve(0)
-    served.move(5, 0.2)
+    served.move(0.2)
     assert served.serve(60) == (DOUBLE,)
     assert [served.serve(tick) for tick in range(61, 160)] == [None] * 99
     assert served.serve(160) == ()
@@ -139,34 +141,67 @@ def test_an_answer_with_something_in_it_is_a_sign_of_life(bench):
 def test_a_sign_of_life_is_not_taken_for_a_factorisation(bench):
     served = bench()
     served.serve(0)
-    served.move(5, 0.08)
+    served.move(0.08)
     assert served.serve(100) == ()
     # The distance still counts from tick 0.
-    served.move(5, 0.08)
+    served.move(0.08)
     assert served.serve(101) == (DOUBLE,)
 
 
-def test_what_does_not_arrive_is_sent_again_every_retry_period(bench):
+def test_what_does_not_arrive_is_sent_again_after_the_retry_period(bench):
     served = bench()
     served.serve(7, arrives=False)
     assert served.due(106) is None
-    assert served.serve(107, arrives=False) == EVERY_MODE
-    assert served.due(206) is None
-    assert served.serve(207) == EVERY_MODE
-    assert [served.modes(tick) for tick in range(208, 1000, 50)] == [()] * 16
+    assert served.serve(107) == EVERY_MODE
+    assert [served.modes(tick) for tick in range(108, 1000, 50)] == [()] * 18
+
+
+def test_each_time_it_waits_twice_as_long_up_to_sixteen_times(bench):
+    served = bench()
+    sent = [tick for tick in range(6000) if served.serve(tick, arrives=False)]
+    assert np.diff(sent).tolist() == [100, 200, 400, 800, 1600, 1600]
+
+
+def test_after_an_arrival_it_waits_as_short_as_at_first(bench):
+    served = bench()
+    for tick in range(300):
+        served.serve(tick, arrives=False)
+    assert served.serve(300) == EVERY_MODE
+    served.serve(301)
+    served.move(0.2)
+    assert served.serve(310, arrives=False) == (DOUBLE,)
+    assert served.modes(409) == ()
+    assert served.modes(410) == (DOUBLE,)
+
+
+def test_it_waits_longer_than_the_last_answer_took_to_arrive(bench):
+    served = bench()
+    assert served.serve(0, arrives=False) == EVERY_MODE
+    assert served.serve(100, arrives=False) == EVERY_MODE
+    # The first one has taken 250 ms; of the second nothing is known yet.
+    served.holds = [0, 0, 0]
+    assert served.modes(250) == ()
+    # It takes 260 ms.
+    served.holds = [100, 100, 100]
+    assert served.modes(360) == ()
+    served.move(0.2)
+    assert served.serve(400, arrives=False) == (DOUBLE,)
+    again = next(tick for tick in range(401, 2000) if served.modes(tick))
+    assert 400 + 260 < again < 400 + 2 * 260
 
 
 def test_the_modes_that_did_arrive_are_not_sent_again(bench):
     served = bench()
     served.serve(7, arrives=False)
     served.holds[LEFT] = 7
+    assert served.due(20) is None
     assert served.due(107) == (DOUBLE, RIGHT)
 
 
 def test_an_older_factorisation_does_not_stand_for_the_one_that_was_lost(bench):
     served = bench()
     served.serve(0)
-    served.move(2, 0.2)
+    served.move(0.2)
     assert served.serve(10, arrives=False) == (DOUBLE,)
     assert served.holds == [0, 0, 0]
     assert served.due(109) is None
@@ -187,12 +222,28 @@ def test_the_retry_period_is_that_of_the_settings(bench):
     assert [served.due(tick) for tick in range(1, 5)] == [None, None, EVERY_MODE, EVERY_MODE]
 
 
+def test_a_moving_robot_is_served_once_per_interval(bench):
+    served = bench(refresh_interval_ns=20 * MS)
+    served.serve(0)
+    given = []
+    for tick in range(1, 100):
+        served.move(0.2 if tick % 2 else -0.5)
+        if served.serve(tick):
+            given.append(tick)
+    assert given == [20, 40, 60, 80]
+
+
+def test_what_was_lost_does_not_wait_for_the_interval(bench):
+    served = bench(refresh_interval_ns=500 * MS)
+    served.serve(0, arrives=False)
+    assert served.serve(100) == EVERY_MODE
+
+
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("joint", [0, 17, 30])
-def test_a_joint_that_has_moved_far_makes_the_present_and_the_next_mode_due(bench, joint, sign):
+def test_a_posture_left_far_behind_makes_the_present_and_the_next_mode_due(bench, sign):
     served = bench(WALK)
     served.serve(0)
-    served.move(joint, sign * 0.1001)
+    served.move(sign * 0.1001)
     assert served.due(1) == (DOUBLE, LEFT)
     assert served.due(299) == (DOUBLE, LEFT)
     assert served.due(300) == (DOUBLE, LEFT)
@@ -201,24 +252,34 @@ def test_a_joint_that_has_moved_far_makes_the_present_and_the_next_mode_due(benc
     assert served.due(700) == (RIGHT,)
 
 
+@pytest.mark.parametrize(("part", "due"), [(0.999, None), (-0.999, None), (1.001, (DOUBLE,))])
+@pytest.mark.parametrize("joint", [0, 17, 30])
+def test_the_distance_is_the_root_of_the_mean_square_of_all_joints(bench, joint, part, due):
+    served = bench()
+    served.serve(0)
+    served.q = served.q.copy()
+    served.q[7 + joint] += part * 0.1 * math.sqrt(len(served.q) - 7)
+    assert served.due(1) == due
+
+
 def test_a_standing_robot_needs_its_only_mode(bench):
     served = bench()
     served.serve(0)
-    served.move(5, 1.0)
+    served.move(1.0)
     assert served.due(1) == (DOUBLE,)
 
 
 def test_distance_counts_from_where_each_mode_was_factorised(bench):
     served = bench(WALK)
     served.serve(0)
-    served.move(5, 0.08)
+    served.move(0.08)
     assert served.serve(1) is None
-    served.move(5, 0.08)
+    served.move(0.08)
     assert served.serve(2) == (DOUBLE, LEFT)
     assert served.due(3) is None
     # The right foot's is the first one still.
     assert served.modes(601) == (RIGHT,)
-    served.move(5, -0.09)
+    served.move(-0.09)
     assert served.modes(601) == ()
 
 
@@ -233,25 +294,25 @@ def test_where_the_base_is_does_not_matter(bench):
 def test_a_robot_that_has_moved_far_is_not_sent_the_same_twice_while_it_waits(bench):
     served = bench()
     served.serve(0)
-    served.move(5, 0.2)
+    served.move(0.2)
     assert served.serve(1, arrives=False) == (DOUBLE,)
     assert served.due(2) is None
     # It goes on moving: what is under way is of no use any more.
-    served.move(5, 0.2)
+    served.move(0.2)
     assert served.due(3) == (DOUBLE,)
 
 
 def test_the_posture_is_remembered_and_not_the_array_it_came_in(bench):
     served = bench()
     served.serve(0)
-    served.q[7 + 5] += 0.2
+    served.q[7:] += 0.2
     assert served.due(1) == (DOUBLE,)
 
 
 def test_an_infinite_distance_means_never(bench):
     served = bench(WALK, refresh_distance=float("inf"))
     served.serve(0)
-    served.move(5, 1e6)
+    served.move(1e6)
     assert [served.modes(tick) for tick in (1, 300, 601)] == [()] * 3
 
 

@@ -9,18 +9,24 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from robot_node.cache import FactorisationCache
 from robot_node.controllers import Source
-from robot_node.corrected import Contraction
+from robot_node.corrected import Contraction, LocallyCorrected
+from shared.config import CorrectionConfig
 from shared.robots import Foot
 from shared.robots.description import sole_frame_name
 from shared.wbc.contacts import FORCES_PER_FOOT, ContactMode
+from shared.wbc.correction import Corrector, Iterate, factorise_kkt
 from shared.wbc.projector import full_problem
 from shared.wbc.qp import make_solver
+from shared.wire.codec import Codec
 from tests.messages import altered
 from tests.robot_node.bench import DEADLINE_NS, MS, SESSION, Bench, nothing
 
 DOUBLE = ContactMode.DOUBLE_SUPPORT
 NOISELESS = {"sensors.joint_position_noise": 0.0}
+# An answer to every state.
+EVERY_STATE = {"correction.refresh_distance": 0.0, "correction.refresh_interval_ns": 0}
 # The edge sends factorisations in single precision: 1.5e-7 of y measured. In wild poses it is 7e-4.
 SINGLE_PRECISION = 1e-5
 
@@ -139,7 +145,7 @@ def test_a_push_after_the_link_is_cut_is_withstood(bench):
 
 
 def test_with_an_answer_to_every_state_a_command_is_the_optimum_there(bench, optimum):
-    played = bench(**{"correction.refresh_distance": 0.0})
+    played = bench(**EVERY_STATE)
     for _ in range(30):
         y = played.tick().decision.y
         assert error(y, optimum(played.state)) < SINGLE_PRECISION
@@ -219,6 +225,84 @@ def test_a_row_tells_what_the_tick_did(bench):
     np.testing.assert_array_equal(played.column("tau")[-1], command.tau)
     assert played.column("on_board_qps")[-1] == 0
     assert decision.mode is DOUBLE
+
+
+# ---- a contact switch
+
+
+class ByHand:
+    """A controller with a factorisation of every mode, some 0.05 rad away from a state."""
+
+    def __init__(self, model, stacks, codec, states, **settings):
+        self.model, self.stacks = model, stacks
+        self.q, self.v = states[1]
+        cache = FactorisationCache(codec, stacks, session=SESSION, level="b")
+        jacobians = model.jacobians(states[5].q)
+        made = tuple(
+            factorise_kkt(stack, stack.matrices(jacobians), states[5].q[7:])
+            for stack in stacks.values()
+        )
+        cache.keep(made, sequence=0, stamp_ns=0)
+        config = CorrectionConfig(**settings)
+        self.controller = LocallyCorrected(cache, model, stacks, config)
+        self.correctors = {
+            each.mode: Corrector(stacks[each.mode], each, level="b") for each in made
+        }
+
+    def command(self, reference):
+        self.controller.observe(self.q, self.v, reference)
+        return self.controller.command(time_ns=0)
+
+    def stepped(self, iterate, reference, *, steps):
+        """The iterate after some steps at the same state."""
+        stack = self.stacks[reference.mode]
+        for _ in range(steps):
+            a, f = np.split(iterate.y, [self.model.nv])
+            now = self.model.kinematics(self.q, self.v, a, stack.contacts.wrenches(f))
+            residual = stack.right_hand_side(now, reference)
+            iterate, _ = self.correctors[reference.mode].step(iterate, residual, self.model, now)
+        return iterate
+
+
+@pytest.fixture
+def by_hand(robot, motion, configured, model, stacks, states):
+    codec = Codec(robot, configured(), motion)
+
+    def build(**settings):
+        return ByHand(model, stacks, codec, states, **settings)
+
+    return build
+
+
+@pytest.mark.parametrize("iterations", [1, 2])
+@pytest.mark.parametrize("at_switch", [0, 1, 4])
+def test_in_the_first_tick_of_a_mode_corrections_go_on_from_what_they_have_come_to(
+    by_hand, stacks, reference, model, iterations, at_switch
+):
+    bench = by_hand(iterations=iterations, iterations_at_switch=at_switch)
+    on_left = dataclasses.replace(reference, mode=ContactMode.LEFT_SUPPORT)
+    expected = Iterate.zero(stacks[DOUBLE])
+    for _ in range(3):
+        expected = bench.stepped(expected, reference, steps=iterations)
+        y = bench.command(reference).y
+        np.testing.assert_allclose(y, expected.y, rtol=1e-9, atol=1e-9)
+    expected = expected.in_mode(stacks[ContactMode.LEFT_SUPPORT], model.nv)
+    for tick in range(3):
+        steps = max(iterations, at_switch) if tick == 0 else iterations
+        expected = bench.stepped(expected, on_left, steps=steps)
+        decision = bench.command(on_left)
+        assert decision.mode is ContactMode.LEFT_SUPPORT
+        np.testing.assert_allclose(decision.y, expected.y, rtol=1e-9, atol=1e-9)
+
+
+def test_more_iterations_come_nearer_to_where_corrections_lead(by_hand, stacks, reference):
+    last = by_hand().stepped(Iterate.zero(stacks[DOUBLE]), reference, steps=30).y
+    errors = [
+        error(by_hand(iterations=iterations).command(reference).y, last)
+        for iterations in (1, 2, 4, 8)
+    ]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 0.1 * errors[0]
 
 
 # ---- the contraction
@@ -313,10 +397,8 @@ def test_bad_messages_are_counted_by_reason_and_change_nothing(bench):
         # Before and after the good one, so that neither order lets one in.
         return [*bad, answer, *bad]
 
-    # An answer to every state.
-    every_state = {"correction.refresh_distance": 0.0}
-    clean = bench(**every_state).run(20)
-    attacked = bench(**every_state).run(20, deliver=with_garbage)
+    clean = bench(**EVERY_STATE).run(20)
+    attacked = bench(**EVERY_STATE).run(20, deliver=with_garbage)
     for name in ("tau", "q", "source"):
         np.testing.assert_array_equal(attacked.column(name), clean.column(name))
     expected = dict.fromkeys(reasons, 2 * 20)
@@ -342,13 +424,8 @@ def scaled(message, name, scale):
     )
 
 
-@pytest.mark.parametrize("level", ["b", "b_adjoint", "c"])
-@pytest.mark.parametrize("scale", [1e-30, 1e-10, 1e3, 1e10, 1e30])
-@pytest.mark.parametrize("name", ["P", "Q", "T", "A"])
-def test_a_well_formed_factorisation_of_absurd_numbers_never_passes_the_clamp(
-    bench, name, scale, level
-):
-    played = bench(**{"correction.level": level, "correction.refresh_distance": 0.0}).run(1)
+def after_an_absurd_factorisation(played, name, scale):
+    """Two ticks with one whose numbers are scaled, and then nothing absurd any more."""
 
     def absurd(answer):
         message = scaled(played.codec.decode_factorisations(answer), name, scale)
@@ -356,14 +433,28 @@ def test_a_well_formed_factorisation_of_absurd_numbers_never_passes_the_clamp(
 
     # That numbers overflow on the way is the point; NumPy need not say so.
     with np.errstate(all="ignore"):
-        commands = [played.tick(deliver=absurd), *(played.tick(deliver=nothing) for _ in range(4))]
-    for command in commands:
+        played.run(1).tick(deliver=absurd)
+        played.tick(deliver=nothing)
+    return played
+
+
+@pytest.mark.parametrize("level", ["b", "b_adjoint", "c"])
+@pytest.mark.parametrize("scale", [1e-30, 1e-10, 1e3, 1e10, 1e30])
+@pytest.mark.parametrize("name", ["P", "Q", "T", "A"])
+def test_a_well_formed_factorisation_of_absurd_numbers_never_passes_the_clamp(
+    bench, name, scale, level
+):
+    settings = {"correction.level": level, **EVERY_STATE}
+    played = after_an_absurd_factorisation(bench(**settings), name, scale)
+    with np.errstate(all="ignore"):
+        played.run(3, deliver=nothing)
+    for command in played.commands:
         assert np.isfinite(command.tau).all()
         assert np.all(np.abs(command.tau) <= played.robot._guard.limit)
 
 
 def test_a_state_that_is_not_finite_holds_the_joints_for_as_long_as_it_lasts(bench, optimum):
-    played = bench(**{"correction.refresh_distance": 0.0}).run(5)
+    played = bench(**EVERY_STATE).run(5)
     position = played.robot._plant.data.qpos
     kept = position[20]
     position[20] = np.nan
@@ -376,4 +467,21 @@ def test_a_state_that_is_not_finite_holds_the_joints_for_as_long_as_it_lasts(ben
     # Nothing of it is left in the corrections.
     y = played.tick().decision.y
     assert sources(played)[-1] is Source.FRESH
+    assert error(y, optimum(played.state)) < SINGLE_PRECISION
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e10, 1e20, 1e30])
+@pytest.mark.parametrize("name", ["P", "Q", "T", "A"])
+def test_good_factorisations_make_up_for_an_absurd_one(bench, optimum, name, scale):
+    played = after_an_absurd_factorisation(bench(**EVERY_STATE), name, scale)
+    # Solutions up to 1e21 have been corrected, each tick to some 1e-7 of what they were.
+    y = played.run(3).tick().decision.y
+    assert error(y, optimum(played.state)) < SINGLE_PRECISION
+
+
+def test_a_step_that_gave_nothing_leaves_nothing_behind(bench, optimum):
+    played = after_an_absurd_factorisation(bench(**EVERY_STATE), "P", 1e30)
+    # The first step gave 1e30, the second none.
+    assert [source.name for source in sources(played)] == ["FRESH", "FRESH", "HELD"]
+    y = played.tick().decision.y
     assert error(y, optimum(played.state)) < SINGLE_PRECISION

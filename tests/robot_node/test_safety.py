@@ -203,9 +203,17 @@ def test_on_another_rung_each_joint_follows_by_a_tenth_of_its_limit_per_tick(gua
 
 
 def test_a_robot_that_has_caught_up_may_jump_again(guard, rng):
-    # Commands near zero, of either sign, never further from the last than a step.
+    # Commands of either sign, never further from the last than a step.
+    change = RungChange(guard)
+    for k in range(4):
+        tau = 0.04 * guard.limit * rng.uniform(-1.0, 1.0, 31)
+        np.testing.assert_allclose(change.bound(tau, changed=k == 1), tau, rtol=1e-12)
+    np.testing.assert_array_equal(change.bound(guard.limit, changed=False), guard.limit)
+
+
+def test_a_robot_that_has_not_caught_up_may_not(guard):
     change = RungChange(guard)
     change.bound(np.zeros(31), changed=False)
-    for k in range(3):
-        change.bound(0.04 * guard.limit * rng.uniform(-1.0, 1.0, 31), changed=k == 0)
-    np.testing.assert_array_equal(change.bound(guard.limit, changed=False), guard.limit)
+    change.bound(0.5 * guard.limit, changed=True)
+    tau = change.bound(guard.limit, changed=False)
+    np.testing.assert_allclose(tau, 0.2 * guard.limit, rtol=1e-12)

@@ -174,6 +174,7 @@ def test_a_whole_number_may_stand_for_a_float():
         ("controller", "pid"),
         ("view", "cinema"),
         ("wire.projector_dtype", "float16"),
+        ("correction.level", "a"),
     ],
 )
 def test_a_word_that_is_not_one_of_the_valid_ones_is_refused_with_those(key, value):
@@ -217,6 +218,14 @@ def test_a_word_that_is_not_one_of_the_valid_ones_is_refused_with_those(key, val
         ("wbc.weights.posture", math.nan),
         # Simulated time is a whole number of nanoseconds.
         ("loop.connect_timeout", math.inf),
+        ("correction.iterations", -1),
+        ("correction.iterations_at_switch", -1),
+        ("correction.damping", -0.1),
+        ("correction.damping", math.inf),
+        ("correction.refresh_distance", -0.1),
+        ("correction.refresh_distance", math.nan),
+        ("correction.refresh_interval_ns", -1),
+        ("correction.retry_ns", 999_999),
     ],
 )
 def test_a_number_out_of_range_is_refused_under_its_name(key, value):
@@ -227,6 +236,9 @@ def test_limits_themselves_are_allowed():
     for key, value in (
         ("sensors.joint_position_noise", 0.0),
         ("loop.hold_after", math.inf),
+        ("correction.refresh_distance", math.inf),
+        ("correction.refresh_distance", 0.0),
+        ("correction.iterations", 0),
         ("loop.connect_timeout", 0.0),
         ("link.loss", 0.0),
         ("wbc.min_normal_force", 0.0),

@@ -7,7 +7,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask
+from shared.robots import Foot
+from shared.wbc.model import RowMultipliers
+from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, SwingFootTask
 
 KP = 7.0
 KD = 2.0 * math.sqrt(KP)  # critical damping
@@ -130,3 +132,15 @@ def test_jacobians_of_orientation_and_posture_pick_their_velocities(model, state
     jacobians = model.jacobians(q)
     np.testing.assert_array_equal(orientation.jacobian(jacobians) @ v, v[3:6])
     np.testing.assert_array_equal(posture.jacobian(jacobians) @ v, v[6:])
+
+
+def test_multipliers_of_a_task_are_added_to_those_that_are_there(task, model, states, rng):
+    swing = SwingFootTask(weight=1.0, kp=KP, foot=Foot.LEFT)
+    for each in (task, swing):
+        multipliers = RowMultipliers.zero(model.nv)
+        first, second = rng.standard_normal((2, each.size))
+        each.add_transposed(first, multipliers)
+        each.add_transposed(second, multipliers)
+        q = states[2].q
+        expected = each.jacobian(model.jacobians(q)).T @ (first + second)
+        np.testing.assert_allclose(model.transposed(q, multipliers), expected, atol=1e-10)

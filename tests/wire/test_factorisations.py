@@ -149,6 +149,13 @@ def test_factorisations_of_all_modes_fit_into_one_message(codec, stacks, rng):
     assert 0 < size - 4 * numbers < 500
 
 
+def test_a_message_leaves_those_before_it_as_they_are(codec, stacks, rng):
+    first, second = (make_correction([stacks[LEFT]], rng) for _ in range(2))
+    arrived = codec.decode_factorisations(codec.encode_factorisations(first))
+    codec.decode_factorisations(codec.encode_factorisations(second))
+    assert_arrived(arrived.factorisations[0], first.factorisations[0], stacks[LEFT])
+
+
 def test_a_message_may_have_none_and_is_a_sign_of_life_then(codec):
     message = make_correction([], np.random.default_rng(0))
     data = codec.encode_factorisations(message)
