@@ -83,7 +83,7 @@ class Status:
         age = f"{last['projector_age_ns'] * 1e-6:.1f}" if last["projector_age_ns"] >= 0 else "-"
         pushed = " push!" if np.any(schema.column(rows, "push_n")) else ""
         return (
-            f"t {time_ns * 1e-9:5.2f}/{self._duration:g} s | {SOURCES[int(last['source'])]:<6}"
+            f"t {time_ns * 1e-9:5.2f}/{self._duration:g} s | {SOURCES[int(last['source'])]:<9}"
             f" | link up {self._delay_ms[0]} down {self._delay_ms[1]} ms"
             f" | projector age {age} ms | CoM error {100 * last['com_error_m']:.1f} cm"
             f" | overruns {int(last['overruns'])}{pushed}"

@@ -1,4 +1,4 @@
-"""Reproducible runs under simulated time: `python -m experiments trial …` or `… sweep …`."""
+"""Reproducible runs under simulated time, and what they come to."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from __future__ import annotations
 import shared.single_thread  # noqa: F401
 
 # isort: on
+from experiments.corrections import add_corrections_arguments, run_corrections
+from experiments.figure import add_figure_arguments, run_figure
 from experiments.sweep import add_sweep_arguments, run_sweep
 from experiments.trial import add_trial_arguments, run_trial
 from shared.cli import Parser, run
@@ -14,12 +16,23 @@ from shared.cli import Parser, run
 def main() -> int:
     parser = Parser(prog="experiments", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    trial = commands.add_parser("trial", help="play one run in lockstep and print its summary")
-    add_trial_arguments(trial)
-    sweep = commands.add_parser("sweep", help="play a study and print its table")
-    add_sweep_arguments(sweep)
+    for name, told, add_arguments, run_command in (
+        ("trial", "play one run and print its summary", add_trial_arguments, run_trial),
+        ("sweep", "play a study and print its table", add_sweep_arguments, run_sweep),
+        ("figure", "draw what a sweep has found", add_figure_arguments, run_figure),
+        (
+            "corrections",
+            "how far a factorisation may be from the state, without simulating",
+            add_corrections_arguments,
+            run_corrections,
+        ),
+    ):
+        command = commands.add_parser(name, help=told)
+        add_arguments(command)
+        command.set_defaults(run_command=run_command)
     arguments = parser.parse_args()
-    return run_trial(arguments) if arguments.command == "trial" else run_sweep(arguments)
+    code: int = arguments.run_command(arguments)
+    return code
 
 
 if __name__ == "__main__":

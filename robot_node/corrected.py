@@ -76,9 +76,10 @@ class LocallyCorrected:
         return self._contraction.estimate > self._config.stop_above
 
     @property
-    def wants_refresh(self) -> bool:
-        """Whether a factorisation at the present state would help."""
-        return self._contraction.estimate > self._config.refresh_above
+    def wants_refresh(self) -> ContactMode | None:
+        """The present contact mode if a factorisation at the present state would help."""
+        helpful = self._contraction.estimate > self._config.refresh_above
+        return self._iterate.mode if helpful else None
 
     def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:
         stack = self._stacks[reference.mode]

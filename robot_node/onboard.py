@@ -19,10 +19,12 @@ from shared.config import RunConfig, SwitchConfig
 from shared.errors import MessageRefused
 from shared.motion.reference import Motion, coming_switches
 from shared.robots import Robot
+from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Factorisation
 from shared.wbc.whole_body import TimedProjector, WholeBodyController
 
-# What an on-board computer computes at (q, v) for a task time: a projector, or factorisations.
+# What an on-board computer computes at (q, v): a projector for a task time, or the factorisation of
+# a contact mode.
 Solve = Callable[[np.ndarray, np.ndarray, int], Any]
 
 
@@ -33,9 +35,8 @@ def on_board_solve(robot: Robot, config: RunConfig, motion: Motion) -> Solve:
     def project(q: np.ndarray, v: np.ndarray, time_ns: int) -> TimedProjector | None:
         return controller.projector_for(q, v, time_ns=time_ns)
 
-    def factorise(q: np.ndarray, v: np.ndarray, time_ns: int) -> tuple[Factorisation, ...] | None:
-        mode = motion.reference(time_ns).mode
-        return controller.factorise(q, (mode,), damping=config.correction.damping)
+    def factorise(q: np.ndarray, v: np.ndarray, mode: int) -> tuple[Factorisation, ...] | None:
+        return controller.factorise(q, (ContactMode(mode),), damping=config.correction.damping)
 
     return factorise if config.controller == "lc" else project
 
@@ -43,8 +44,8 @@ def on_board_solve(robot: Robot, config: RunConfig, motion: Motion) -> Solve:
 class OnBoardComputer(Protocol):
     """Solves one problem at a time, beside the control loop."""
 
-    def start(self, q: np.ndarray, v: np.ndarray, *, now_ns: int, for_ns: int) -> None:
-        """Begin at task time `now_ns` to solve at (q, v) for the contact mode of `for_ns`."""
+    def start(self, q: np.ndarray, v: np.ndarray, *, now_ns: int, target: int) -> None:
+        """Begin at task time `now_ns` to solve at (q, v) for a `target`, see `Solve`."""
         ...
 
     def finished(self, now_ns: int) -> bool:
@@ -69,9 +70,9 @@ class ModelledComputer:
         self._ready_ns = 0
         self._solution: Any = None
 
-    def start(self, q: np.ndarray, v: np.ndarray, *, now_ns: int, for_ns: int) -> None:
+    def start(self, q: np.ndarray, v: np.ndarray, *, now_ns: int, target: int) -> None:
         self._ready_ns = now_ns + self._ready_after_ns
-        self._solution = self._solve(q, v, for_ns)
+        self._solution = self._solve(q, v, target)
 
     def finished(self, now_ns: int) -> bool:
         return now_ns >= self._ready_ns
@@ -131,7 +132,7 @@ class OnBoardWindow:
     ) -> None:
         self._finish(time_ns)
         if self._under_way is None and (for_ns := self._due(time_ns)) is not None:
-            self._computer.start(q, v, now_ns=time_ns, for_ns=for_ns)
+            self._computer.start(q, v, now_ns=time_ns, target=for_ns)
             self._under_way = (sequence, stamp_ns)
             self.solves += 1
             self._finish(time_ns)
@@ -188,7 +189,7 @@ class OnBoardWindow:
 class OnBoardRefresh:
     """Factorises on board when corrections shrink the error too little, within a budget of time.
 
-    `wanted` says whether a new factorisation of the present contact mode would help.
+    `wanted` gives the contact mode of which a new factorisation would help, or None.
     """
 
     def __init__(
@@ -196,7 +197,7 @@ class OnBoardRefresh:
         config: RunConfig,
         computer: OnBoardComputer,
         cache: FactorisationCache,
-        wanted: Callable[[], bool],
+        wanted: Callable[[], ContactMode | None],
     ) -> None:
         self.solves = 0
         self._computer = computer
@@ -216,8 +217,11 @@ class OnBoardRefresh:
             factorisations = self._computer.take()
             if factorisations is not None:
                 self._keep(factorisations, started, stamp)
-        if self._under_way is None and time_ns >= self._next_start_ns and self._wanted():
-            self._computer.start(q, v, now_ns=time_ns, for_ns=time_ns)
+        if self._under_way is not None or time_ns < self._next_start_ns:
+            return
+        mode = self._wanted()
+        if mode is not None:
+            self._computer.start(q, v, now_ns=time_ns, target=mode)
             self._under_way = (sequence, stamp_ns)
             self._next_start_ns = time_ns + self._pause_ns
             self.solves += 1

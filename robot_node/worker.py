@@ -37,8 +37,8 @@ class WorkerComputer:
             raise LinkError(f"the on-board computer did not start within {_START_SECONDS:g} s")
         self._pipe.recv()
 
-    def start(self, q: np.ndarray, v: np.ndarray, *, now_ns: int, for_ns: int) -> None:
-        self._pipe.send((q, v, for_ns))
+    def start(self, q: np.ndarray, v: np.ndarray, *, now_ns: int, target: int) -> None:
+        self._pipe.send((q, v, target))
 
     def finished(self, now_ns: int) -> bool:
         return self._pipe.poll()
@@ -74,9 +74,9 @@ def _serve(pipe: Connection, config: RunConfig) -> None:
     pipe.send("ready")
     try:
         while True:
-            q, v, time_ns = pipe.recv()
+            q, v, target = pipe.recv()
             began_ns, used_ns = time.monotonic_ns(), time.thread_time_ns()
-            solution = solve(q, v, time_ns)
+            solution = solve(q, v, target)
             used_ns = time.thread_time_ns() - used_ns
             sleep_until(began_ns + config.switch.ready_after_ns(used_ns))
             pipe.send(solution)

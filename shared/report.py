@@ -187,11 +187,13 @@ def summary_in_words(summary: dict[str, Any]) -> str:
     ]
     slip, wait = summary["foot_slip_mm"], summary["switch_to_fresh_ms"]
     discrepancy = summary["active_set_discrepancy"]
-    lines.append(
-        f"  foot slip at most {_number(slip['max'], 'mm')} in a stance; active set differs in "
-        f"{_number(discrepancy['mean'], 'rows')} on average, at most "
+    differs = (
+        ""
+        if discrepancy["mean"] is None
+        else f"; active set differs in {_number(discrepancy['mean'], 'rows')} on average, at most "
         f"{_number(discrepancy['max'], 'rows', digits=0)}"
     )
+    lines.append(f"  foot slip at most {_number(slip['max'], 'mm')} in a stance{differs}")
     if summary["task"] == "walk":
         lines.append(
             f"  contact switch to first fresh projector p50 {_number(wait['p50'], 'ms')}, max "

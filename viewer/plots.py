@@ -22,8 +22,8 @@ PURPLE, GREY, YELLOW = (178, 122, 240), (140, 148, 160), (250, 214, 80)
 
 Colour = tuple[int, int, int]
 
-# Of fresh, cached and held commands.
-SOURCE_COLOURS: tuple[Colour, ...] = (GREEN, BLUE, RED)
+# In the order of `SOURCES`: fresh, cached, held, on board, corrected, stopping.
+SOURCE_COLOURS: tuple[Colour, ...] = (GREEN, BLUE, RED, PURPLE, GREY, ORANGE)
 SOURCE_PATH = "plots/source"
 
 

@@ -97,7 +97,9 @@ class Walking:
         steps = under_way + 2
         if steps >= len(self.steps):
             return self
-        shorter = Walking(self._robot, dataclasses.replace(self._config, steps=steps))
+        # In closed form, whichever plan this is: it is needed within a tick or a few.
+        config = dataclasses.replace(self._config, steps=steps, com_plan="dcm")
+        shorter = Walking(self._robot, config)
         return CrossFade(self, shorter, begin_ns=time_ns)
 
     def _phase(self, time_ns: int) -> Phase:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from netem.delay_line import DelayLine
 from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
+from shared.quantities import parse_outage
 
 MS = 1_000_000
 # In tenths of a millisecond: drawn in nanoseconds, most would be too short to overtake anything.
@@ -201,3 +202,28 @@ def test_an_outage_ends_in_a_burst_in_order(keep_order):
         line.push(k, sent_ns=k * MS)
     assert line.pop_due(50 * MS - 1) == []
     assert [due.item for due in line.pop_due(50 * MS)] == list(range(50))
+
+
+def outages(*texts):
+    return [parse_outage(text) for text in texts]
+
+
+def test_what_is_sent_in_an_outage_arrives_its_delay_after_the_end():
+    line = make_line([2 * MS] * 50, outages=outages("10ms@20ms"))
+    due = {sent: line.push(sent, sent_ns=sent * MS) for sent in (0, 19, 20, 29, 30)}
+    assert {sent: at // MS for sent, at in due.items()} == {0: 2, 19: 21, 20: 32, 29: 32, 30: 32}
+
+
+def test_an_outage_is_on_the_links_own_time_wherever_in_its_profile_it_begins():
+    line = make_line([0] * 50, outages=outages("10ms@5ms"), start_ns=100 * MS, offset_ns=7 * MS)
+    assert line.push("a", sent_ns=104 * MS) == 104 * MS
+    assert line.push("b", sent_ns=105 * MS) == 115 * MS
+
+
+def test_after_a_cut_nothing_arrives_but_what_was_under_way_does():
+    line = make_line([5 * MS] * 50, outages=outages("cut@10ms"))
+    assert line.push("before", sent_ns=9 * MS) == 14 * MS
+    assert line.push("after", sent_ns=10 * MS) is None
+    assert line.push("long after", sent_ns=10_000 * MS) is None
+    assert line.lost == 2
+    assert [due.item for due in line.pop_due(14 * MS)] == ["before"]

@@ -8,14 +8,14 @@ import itertools
 import numpy as np
 import pytest
 
-from robot_node.onboard import ModelledComputer, OnBoardWindow
-from shared.config import SwitchConfig
+from robot_node.onboard import ModelledComputer, OnBoardRefresh, OnBoardWindow
+from shared.config import CorrectionConfig, RunConfig, SwitchConfig
 from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import Projector
 from shared.wbc.whole_body import TimedProjector
 
 MS = 1_000_000
-SINGLE, DOUBLE = ContactMode.LEFT_SUPPORT, ContactMode.DOUBLE_SUPPORT
+LEFT, DOUBLE = ContactMode.LEFT_SUPPORT, ContactMode.DOUBLE_SUPPORT
 
 
 class Switches:
@@ -126,3 +126,37 @@ def test_each_part_can_be_turned_off(part):
 
 def test_without_a_switch_nothing_is_ever_solved():
     assert play(Switches(), 200)[0] == []
+
+
+class Held(list):
+    """Stands for the cache of factorisations: (sequence, on board) of what it was given."""
+
+    def keep(self, factorisations, *, sequence, stamp_ns, on_board):
+        assert factorisations == (LEFT,)
+        self.append((sequence, on_board))
+
+
+def refresh(wanted, *, until_ms=400, budget=0.1):
+    config = RunConfig(
+        switch=SwitchConfig(compute_ns=2 * MS, compute_time_scale=1.0),
+        correction=CorrectionConfig(on_board_budget=budget),
+    )
+    computer = ModelledComputer(lambda q, v, mode: (ContactMode(mode),), ready_after_ns=2 * MS)
+    cache = Held()
+    window = OnBoardRefresh(config, computer, cache, lambda: LEFT if wanted(tick) else None)
+    for tick in range(until_ms):
+        window.tick(np.zeros(1), np.zeros(1), time_ns=tick * MS, sequence=tick, stamp_ns=0)
+    return window.solves, cache
+
+
+def test_the_robot_factorises_itself_only_while_it_would_help():
+    assert refresh(lambda tick: False) == (0, [])
+    _, cache = refresh(lambda tick: 100 <= tick < 150)
+    assert cache
+    assert all(100 <= sequence < 150 and on_board for sequence, on_board in cache)
+
+
+@pytest.mark.parametrize("budget", [0.02, 0.1, 1.0])
+def test_factorising_on_board_keeps_within_its_budget_of_time(budget):
+    solves, _ = refresh(lambda tick: True, budget=budget)
+    assert 0.7 * budget * 400 <= 2 * solves <= budget * 400 + 2

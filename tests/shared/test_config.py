@@ -18,7 +18,7 @@ from shared.config import (
 )
 from shared.config_file import dump_config, load_config
 from shared.errors import ConfigError
-from shared.quantities import parse_duration_ns, parse_push
+from shared.quantities import parse_duration_ns, parse_outage, parse_push
 
 MS = 1_000_000
 
@@ -348,3 +348,23 @@ def test_durations_are_read_with_their_unit(text, expected_ns):
 def test_other_durations_are_refused_with_examples(text):
     with pytest.raises(ConfigError, match="30ms"):
         parse_duration_ns(text)
+
+
+def test_an_outage_has_a_beginning_and_perhaps_an_end():
+    stall, cut = parse_outage("389ms@1.2s"), parse_outage("cut@4s")
+    assert (stall.start_ns, stall.duration_ns) == (1200 * MS, 389 * MS)
+    assert [stall.begun(at * MS) for at in (1199, 1200, 1588, 1589)] == [False, True, True, False]
+    assert (cut.start_ns, cut.duration_ns) == (4000 * MS, None)
+    assert not cut.begun(3999 * MS)
+    assert cut.begun(10**18)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "389ms", "@1s", "389@1s", "cut", "-1ms@1s", "1ms@-1s", "inf@1s"]
+)
+def test_an_outage_that_makes_no_sense_is_refused(text):
+    assert "389ms@1.2s" in refusal(link__outage=[text])
+
+
+def test_a_walk_needs_projectors_that_fit_into_one_message():
+    assert "float32" in refusal(task="walk", wire__projector_dtype="float64")

@@ -1,0 +1,72 @@
+"""Figures of finished sweeps, and of corrections without a simulation."""
+
+from __future__ import annotations
+
+import argparse
+
+import pytest
+
+from experiments.corrections import run_corrections
+from experiments.figure import add_figure_arguments, run_figure
+from experiments.studies import read_study
+from experiments.sweep import sweep
+from shared.errors import ConfigError
+
+PNG = b"\x89PNG"
+STUDY = """
+seeds = 1
+
+[base]
+duration = 0.03
+push = []
+link.network = "constant:0ms"
+
+[grid]
+controller = ["lc", "la"]
+plant.friction = [0.6, 0.8]
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("figure")
+    (folder / "short.toml").write_text(STUDY)
+    sweep(read_study(folder / "short.toml"), out=folder / "out")
+    return folder / "out"
+
+
+@pytest.fixture
+def figure():
+    parser = argparse.ArgumentParser()
+    add_figure_arguments(parser)
+    return lambda *arguments: run_figure(parser.parse_args([str(each) for each in arguments]))
+
+
+def test_a_figure_has_a_panel_and_a_line_for_each_value(finished, figure, tmp_path):
+    out = tmp_path / "new" / "figure.png"
+    assert (
+        figure(
+            finished, "--x", "plant.friction", "--by", "controller", "--panels", "controller",
+            "--y", "stood", "--y", "com_error_m", "--out", out,
+        )
+        == 0
+    )  # fmt: skip
+    assert out.read_bytes().startswith(PNG)
+
+
+def test_an_unknown_column_is_named_with_those_that_exist(finished, figure, tmp_path):
+    with pytest.raises(ConfigError, match=r"plant\.friction.*got 'frictoin'"):
+        figure(finished, "--x", "frictoin", "--out", tmp_path / "f.png")
+
+
+def test_a_folder_without_a_sweep_is_refused(figure, tmp_path):
+    with pytest.raises(ConfigError, match="finished sweep"):
+        figure(tmp_path, "--x", "seed", "--out", tmp_path / "f.png")
+
+
+def test_corrections_come_with_their_command_and_versions(tmp_path):
+    assert run_corrections(argparse.Namespace(out=tmp_path, states=2, seed=0)) == 0
+    assert (tmp_path / "corrections.png").read_bytes().startswith(PNG)
+    text = (tmp_path / "corrections.md").read_text()
+    assert "python -m experiments corrections --states 2 --seed 0" in text
+    assert text.count("support |") == 14
