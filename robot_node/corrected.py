@@ -1,4 +1,4 @@
-"""LC: the last solution corrected by a stale factorisation, Sec. 2 of `docs/locally-corrected.md`.
+"""LC: the last solution corrected by a stale factorisation; `docs/locally-corrected.md`.
 
 Each tick takes the exact residuals of all rows at the last solution, by the passes that b needs
 anyway; adds what the factorisation makes of them; decides the active set; and recovers the torque
@@ -23,8 +23,10 @@ from shared.wbc.stack import N_DYNAMICS, Stack
 # A probe of the contraction every so many ticks, and its weight in the average: 50 ms.
 _PROBE_TICKS = 10
 _AVERAGE = 0.2
-# Of forces [N] against accelerations in the size of a correction.
+# Of forces [N] against accelerations in the size of a correction; below the least size [rad/s²] a
+# correction is too small to tell anything.
 _FORCE_SCALE = 0.1
+_NEGLIGIBLE = 1e-3
 
 
 class Contraction:
@@ -39,7 +41,7 @@ class Contraction:
 
     def observe(self, first: float, second: float) -> None:
         """Sizes of a correction and of the next one."""
-        if first <= 0.0:
+        if first < _NEGLIGIBLE:
             return
         ratio = second / first
         known = not math.isnan(self.estimate)

@@ -226,10 +226,10 @@ class RobotNode:
         )
 
     def _stop_walking(self) -> None:
-        """End a walk with the step that follows this one; once."""
+        """End a walk with the step that follows this one; once, and if there is one to end."""
         if not self._stopping:
-            self._stopping = True
-            self._motion = self._motion.stopped(self.time_ns)
+            before, self._motion = self._motion, self._motion.stopped(self.time_ns)
+            self._stopping = self._motion is not before
 
     def _bounded(self, tau: np.ndarray, source: Source) -> np.ndarray:
         """The torque without a jump where a correcting robot goes to another rung of its ladder.

@@ -92,6 +92,23 @@ def test_up_walks_with_an_on_board_computer_beside_the_loop(start: Start, tmp_pa
     assert descendants_naming(str(out)) == []
 
 
+def test_up_walks_on_with_the_link_cut(start: Start, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    up = start(
+        "deploy.up",
+        *("--task", "walk", "--controller", "lc", "--steps", "2", "--network", "constant:20ms"),
+        *("--outage", "cut@1500ms", "--view", "off", "--out", str(out)),
+    )
+    assert up.wait(seconds=90.0) == 0, up.output
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["fell"] is False
+    assert summary["commands"]["corrected"] == 4600
+    assert summary["link"]["uplink"]["dropped_by_profile"] > 2500
+    # A factorisation now and then, not one a millisecond.
+    assert 0 < summary["link"]["downlink"]["sent"] < 300
+    assert "no answer for" in up.output
+
+
 def test_a_plan_that_cannot_be_walked_is_refused_before_anything_starts(
     start: Start, tmp_path: Path
 ) -> None:

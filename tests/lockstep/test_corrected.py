@@ -133,3 +133,51 @@ def test_a_trial_does_not_depend_on_the_one_before(play):
     play(**ROUGH, **{"correction.level": "b_adjoint"})
     first = play(**ROUGH).summary["log_hash"]
     assert play(again=True, **ROUGH).summary["log_hash"] == first
+
+
+STALE = {
+    "task": "walk",
+    "controller": "lc",
+    "link.network": "constant:0ms",
+    "correction.refresh_distance": float("inf"),
+}
+
+
+def test_a_robot_that_doubts_its_corrections_finishes_the_step_and_stands(play):
+    # Over any estimate at all: the walk ends as soon as it has begun.
+    result = play(**STALE, duration=5.5, **{"correction.stop_above": 0.0})
+    assert not result.summary["fell"]
+    assert result.summary["commands"]["stopping"] > 5000
+    schema, rows = result.schema, result.rows
+    assert schema.column(rows, "mode")[-1] == 0
+    assert np.abs(schema.column(rows, "v")[-1]).max() < 0.05
+    # One step forward, one that brings the feet together; the plan goes on to 0.5 m.
+    assert 0.05 < schema.column(rows, "com")[-1, 0] < 0.2
+
+
+def test_where_corrections_diverge_the_stale_optimum_is_used_without_a_jump(play, robot):
+    result = play(**STALE, duration=2.0, **{"walk.steps": 1, "correction.give_up_above": 0.25})
+    assert not result.summary["fell"]
+    commands = result.summary["commands"]
+    assert commands["cached"] > 0
+    assert commands["corrected"] > 0
+    schema, rows = result.schema, result.rows
+    source, tau = schema.column(rows, "source"), schema.column(rows, "tau")
+    changed = np.flatnonzero((source[1:] == 1) != (source[:-1] == 1)) + 1
+    # From the corrected to the uncorrected rung and back, after the task has begun.
+    changed = changed[changed > 10]
+    assert len(changed) > 0
+    step = 0.1 * 1.45 * robot.effort_limit
+    assert np.all(np.abs(tau[changed] - tau[changed - 1]) <= step + 1e-9)
+
+
+def test_the_robots_own_computer_factorises_when_asked_for_help(play):
+    result = play(
+        **STALE,
+        duration=1.5,
+        **{"walk.steps": 1, "correction.refresh_above": 0.0, "correction.on_board_budget": 0.1},
+    )
+    assert not result.summary["fell"]
+    # 2.4 ms each in a tenth of the time.
+    assert 40 < result.summary["on_board_qps"] <= 1.5 / 0.024 + 1
+    assert result.summary["commands"]["on_board"] > 1000
