@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 
 from experiments.studies import value_in_words
 from experiments.trial_table import read_trials, wilson_interval
@@ -35,7 +36,8 @@ def add_figure_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="COLUMN",
         help=f"{STOOD} (default), or a column, averaged over those standing; repeatable",
     )
-    parser.add_argument("--by", metavar="SETTING", help="a line for each value")
+    parser.add_argument("--by", metavar="SETTING", help="a line, or a row of a map, for each value")
+    parser.add_argument("--map", action="store_true", help="a map of squares instead of lines")
     parser.add_argument("--panels", metavar="SETTING", help="a panel for each value")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
 
@@ -57,12 +59,20 @@ def run_figure(arguments: argparse.Namespace) -> int:
     )
     for line, column in zip(axes, columns, strict=True):
         for axis, (panel, chosen) in zip(line, panels.items(), strict=True):
-            for name, group in _groups(chosen, arguments.by).items():
-                _draw(axis, _groups(group, arguments.x), column, name)
+            lines = {
+                name: _groups(group, arguments.x)
+                for name, group in _groups(chosen, arguments.by).items()
+            }
             axis.set(title=panel, xlabel=arguments.x)
+            if arguments.map:
+                _draw_map(axis, lines, column)
+                continue
+            for name, groups in lines.items():
+                _draw(axis, groups, column, name)
             axis.grid(alpha=0.3)
-        line[0].set_ylabel("part that stood, 95 %" if column == STOOD else column)
-    if arguments.by:
+        if not arguments.map:
+            line[0].set_ylabel("part that stood, 95 %" if column == STOOD else column)
+    if arguments.by and not arguments.map:
         axes[0, 0].legend(fontsize=8)
     figure.tight_layout()
     try:
@@ -82,21 +92,37 @@ def _groups(rows: Sequence[Row], name: str | None) -> dict[str, list[Row]]:
     return groups
 
 
+def _value(rows: Sequence[Row], column: str) -> tuple[float, tuple[float, float], str] | None:
+    """What a group comes to, its bounds, and how it is written; None without a trial standing."""
+    played = [row for row in rows if row["error"] is None]
+    standing = [row for row in played if not row["fell"]]
+    if column == STOOD:
+        n, of = len(standing), len(played)
+        return n / of, wilson_interval(n, of), f"{n}/{of}"
+    values = [row[column] for row in standing if row[column] is not None]
+    if not values:
+        return None
+    mean = sum(values) / len(values)
+    return mean, (min(values), max(values)), f"{mean:.3g}"
+
+
 def _draw(axis: Any, groups: dict[str, list[Row]], column: str, label: str) -> None:
-    xs, ys, low, high = [], [], [], []
-    for x, rows in groups.items():
-        played = [row for row in rows if row["error"] is None]
-        standing = [row for row in played if not row["fell"]]
-        if column == STOOD:
-            y = len(standing) / len(played)
-            bounds = wilson_interval(len(standing), len(played))
-        else:
-            values = [row[column] for row in standing if row[column] is not None]
-            if not values:
-                continue
-            y, bounds = sum(values) / len(values), (min(values), max(values))
-        xs.append(x)
-        ys.append(y)
-        low.append(y - bounds[0])
-        high.append(bounds[1] - y)
-    axis.errorbar(xs, ys, yerr=[low, high], marker="o", capsize=3, label=label)
+    points = {x: value for x, rows in groups.items() if (value := _value(rows, column))}
+    ys = [value for value, _, _ in points.values()]
+    low = [value - bounds[0] for value, bounds, _ in points.values()]
+    high = [bounds[1] - value for value, bounds, _ in points.values()]
+    axis.errorbar(list(points), ys, yerr=[low, high], marker="o", capsize=3, label=label)
+
+
+def _draw_map(axis: Any, lines: dict[str, dict[str, list[Row]]], column: str) -> None:
+    xs = list(dict.fromkeys(x for groups in lines.values() for x in groups))
+    colours = np.full((len(lines), len(xs)), np.nan)
+    for i, groups in enumerate(lines.values()):
+        for x, rows in groups.items():
+            if value := _value(rows, column):
+                colours[i, xs.index(x)] = value[0]
+                axis.text(xs.index(x), i, value[2], ha="center", va="center", fontsize=8)
+    limits = {"vmin": 0.0, "vmax": 1.0} if column == STOOD else {}
+    axis.imshow(colours, cmap="RdYlGn" if column == STOOD else "viridis", aspect="auto", **limits)
+    axis.set_xticks(range(len(xs)), xs)
+    axis.set_yticks(range(len(lines)), list(lines))

@@ -54,6 +54,13 @@ def test_a_figure_has_a_panel_and_a_line_for_each_value(finished, figure, tmp_pa
     assert out.read_bytes().startswith(PNG)
 
 
+def test_a_map_has_a_square_for_each_pair_of_values(finished, figure, tmp_path):
+    out = tmp_path / "map.png"
+    arguments = ("--x", "plant.friction", "--by", "controller", "--map", "--out", out)
+    assert figure(finished, *arguments) == 0
+    assert out.read_bytes().startswith(PNG)
+
+
 def test_an_unknown_column_is_named_with_those_that_exist(finished, figure, tmp_path):
     with pytest.raises(ConfigError, match=r"plant\.friction.*got 'frictoin'"):
         figure(finished, "--x", "frictoin", "--out", tmp_path / "f.png")
