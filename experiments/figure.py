@@ -124,5 +124,8 @@ def _draw_map(axis: Any, lines: dict[str, dict[str, list[Row]]], column: str) ->
                 axis.text(xs.index(x), i, value[2], ha="center", va="center", fontsize=8)
     limits = {"vmin": 0.0, "vmax": 1.0} if column == STOOD else {}
     axis.imshow(colours, cmap="RdYlGn" if column == STOOD else "viridis", aspect="auto", **limits)
-    axis.set_xticks(range(len(xs)), xs)
+    long = any(len(x) > 8 for x in xs)
+    axis.set_xticks(
+        range(len(xs)), xs, rotation=25 if long else 0, ha="right" if long else "center"
+    )
     axis.set_yticks(range(len(lines)), list(lines))

@@ -234,7 +234,7 @@ def test_bad_messages_on_the_robots_key_are_counted_and_have_no_effect(
         (("deploy.up", "--push", "hard"), "push: expected"),
         (("netem", "--listen", "127.0.0.1:1"), "expected PROTOCOL/HOST:PORT"),
         (("edge_node", "--listen", "tcp/127.0.0.1:notaport"), "cannot open"),
-        (("robot_node", "--controller", "xx"), "expected one of la, pr"),
+        (("robot_node", "--controller", "xx"), "expected one of la, lc, pr"),
     ],
 )
 def test_a_users_mistake_is_one_line_that_says_what_to_do(
