@@ -36,7 +36,7 @@ from shared.cli import (
 from shared.config import RunConfig
 from shared.config_file import dump_config
 from shared.errors import ConfigError, LinkError
-from shared.metrics import active_set_discrepancy, in_task, true_active_sets
+from shared.metrics import task_discrepancy
 from shared.motion.plan import make_motion
 from shared.report import summary, summary_in_words, versions
 from shared.robots import load_robot
@@ -206,8 +206,7 @@ class _Stack:
         if not all(file.exists() for file in files):
             return np.empty(0)
         (schema, rows), (_, solve_rows) = (read_parquet(file) for file in files)
-        rows = in_task(schema, rows)
-        return active_set_discrepancy(schema, rows, true_active_sets(schema, rows, solve_rows))
+        return task_discrepancy(schema, rows, solve_rows)
 
     def _record(self) -> None:
         """The recording of a run nobody watched, made from its files."""

@@ -29,7 +29,7 @@ from shared.bus.memory import MemoryBus
 from shared.clock import SimClock
 from shared.config import RunConfig
 from shared.errors import LinkError
-from shared.metrics import active_set_discrepancy, in_task, true_active_sets
+from shared.metrics import task_discrepancy
 from shared.motion.plan import make_motion
 from shared.quantities import parse_outage
 from shared.report import edge_report, link_report, robot_report, summary
@@ -245,6 +245,4 @@ class Lockstep:
             answer.record(missed.row(), wall_ns=0, solve_ns=0)
         missed.close()
         solved = np.concatenate([missed.rows(), solve_rows])
-        schema = self.robot.schema
-        rows = in_task(schema, rows)
-        return active_set_discrepancy(schema, rows, true_active_sets(schema, rows, solved))
+        return task_discrepancy(self.robot.schema, rows, solved)

@@ -1,9 +1,10 @@
-"""The robot's own full QPs around a contact switch, Sec. III-C.
+"""The robot's own computer: full QPs around a contact switch (Sec. III-C), or factorisations.
 
-In a window centred on each planned switch the on-board computer solves the QP of the present
-contact mode every few milliseconds, and once, shortly before the switch, that of the next one. It
-is slow: a solution is ready a while after the state it was computed from. Its answers compete with
-the edge's in the cache, and the newer state wins.
+For LA: in a window centred on each planned switch it solves the QP of the present contact mode
+every few milliseconds, and once, shortly before the switch, that of the coming one. For LC: the
+present contact mode is factorised when corrections shrink the error too little. It is slow: a
+solution is ready a while after the state it was computed from. Its answers compete with the edge's
+in the cache, and the newer state wins.
 """
 
 from __future__ import annotations

@@ -97,6 +97,12 @@ def active_set_discrepancy(schema: Schema, rows: np.ndarray, true_sets: np.ndarr
     return np.where(known, np.bitwise_count(used ^ true_sets), np.nan)
 
 
+def task_discrepancy(schema: Schema, rows: np.ndarray, solve_rows: np.ndarray) -> np.ndarray:
+    """`active_set_discrepancy` of the task's ticks against the solves there are of their states."""
+    rows = in_task(schema, rows)
+    return active_set_discrepancy(schema, rows, true_active_sets(schema, rows, solve_rows))
+
+
 def in_task(schema: Schema, rows: np.ndarray) -> np.ndarray:
     """The rows from the first one of the task on; those before only waited for the edge."""
     begun = schema.column(rows, "time_ns") >= 0

@@ -158,6 +158,11 @@ class WholeBodyModel:
         `wrenches` holds the contact wrench (6,) on each loaded foot, in its sole frame. The first
         six entries are the dynamics residual of the floating base.
         """
+        self._load_soles(wrenches)
+        return pin.rnea(self.model, self.data, q, v, a, self._external_forces)
+
+    def _load_soles(self, wrenches: dict[Foot, np.ndarray]) -> None:
+        """Set the external forces of the next inverse dynamics, (6,) per foot in its sole frame."""
         for foot, joint in self._sole_joints.items():
             wrench = wrenches.get(foot)
             self._external_forces[joint] = (
@@ -165,7 +170,6 @@ class WholeBodyModel:
                 if wrench is not None
                 else pin.Force.Zero()
             )
-        return pin.rnea(self.model, self.data, q, v, a, self._external_forces)
 
     def transposed(self, q: np.ndarray, multipliers: RowMultipliers) -> np.ndarray:
         """M_uᵀ μ + J_comᵀ μ + Σ J_soleᵀ μ + μ at q, shape (nv,), by one pass without forming a row.
@@ -175,13 +179,7 @@ class WholeBodyModel:
         a = np.zeros(self.nv)
         a[:6] = multipliers.dynamics
         a[:3] += multipliers.com / self._mass
-        for foot, joint in self._sole_joints.items():
-            wrench = multipliers.soles.get(foot)
-            self._external_forces[joint] = (
-                self._sole_placements[foot].act(pin.Force(-wrench))
-                if wrench is not None
-                else pin.Force.Zero()
-            )
+        self._load_soles({foot: -wrench for foot, wrench in multipliers.soles.items()})
         product = pin.rnea(
             self._weightless, self.data, q, self._no_acceleration, a, self._external_forces
         )
