@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge_node.posture import PostureEstimate
 from edge_node.refresh import FactorisationRefresh
 from shared.bus.base import RefusalCounter
 from shared.config import RunConfig
@@ -25,6 +26,8 @@ from shared.wbc.whole_body import TimedProjector, WholeBodyController
 from shared.wire.codec import Codec
 from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
 
+# Of the refresh distance; and at most so far [rad], where that is infinite.
+_LEAD, _MOST_LEAD = 0.7, 0.05
 _STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 
 
@@ -60,6 +63,7 @@ class EdgeNode:
         self._config = config
         signs = np.random.default_rng([config.seed, 11]).choice([-1.0, 1.0], robot.model.nv - 6)
         self._posture_error = config.correction.posture_error * signs
+        self._posture = PostureEstimate(config.correction.average_ns)
         self._refresh = FactorisationRefresh(config.correction, motion)
         self._newest: RobotState | None = None
         self._last_seen: tuple[int, int] | None = None
@@ -112,18 +116,20 @@ class EdgeNode:
 
     def _factorise(self, state: RobotState, holds: tuple[int, ...]) -> Answer | None:
         """Factorisations for a robot that corrects, where it needs new ones; or a sign of life."""
-        modes = self._refresh.due(state, holds)
+        correction = self._config.correction
+        self._posture.observe(state.q, state.v, stamp_ns=state.stamp_ns)
+        modes = self._refresh.due(state, holds, posture=self._posture.now)
         if modes is None:
             return None
+        # Ahead of a robot in motion: it then passes this posture half-way through its use.
+        posture = self._posture.ahead(min(_LEAD * correction.refresh_distance, _MOST_LEAD))
         q = state.q.copy()
-        q[7:] += self._posture_error
-        factorisations = self._controller.factorise(
-            q, modes, damping=self._config.correction.damping
-        )
+        q[7:] = posture + self._posture_error
+        factorisations = self._controller.factorise(q, modes, damping=correction.damping)
         if factorisations is None:
             self.solved[QpStatus.NOT_FINITE.value] += 1
             return Answer(state.sequence, WholeBodySolution(QpStatus.NOT_FINITE, None, 0), None)
-        self._refresh.sent(state, modes)
+        self._refresh.sent(state, modes, posture=posture)
         self.solved[QpStatus.SOLVED.value] += 1
         message = FactorisationMessage(
             session=state.session,

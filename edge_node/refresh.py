@@ -39,25 +39,31 @@ class FactorisationRefresh:
         self._answered_ns = self._round_trip_ns = 0
         self._sent: dict[ContactMode, _Sent] = {}
 
-    def due(self, state: RobotState, holds: tuple[int, ...]) -> tuple[ContactMode, ...] | None:
-        """Contact modes to factorise at this state; None if no answer is due at all."""
+    def due(
+        self, state: RobotState, holds: tuple[int, ...], *, posture: np.ndarray
+    ) -> tuple[ContactMode, ...] | None:
+        """Contact modes to factorise now that the joints are at `posture` (nv − 6,) [rad].
+
+        None if no answer is due at all.
+        """
         if state.session != self._session:
             self._session = state.session
             self._sent.clear()
         self._note_arrivals(state, holds)
         needed = {state.mode, self._next_mode(state)}
-        modes = tuple(mode for mode in ContactMode if self._is_due(mode, state, needed))
+        modes = tuple(mode for mode in ContactMode if self._is_due(mode, state, needed, posture))
         silent = state.stamp_ns - self._answered_ns >= self._config.retry_ns
         return modes if modes or silent else None
 
-    def sent(self, state: RobotState, modes: tuple[ContactMode, ...]) -> None:
-        """Remember that these modes were factorised at this state and sent."""
+    def sent(
+        self, state: RobotState, modes: tuple[ContactMode, ...], *, posture: np.ndarray
+    ) -> None:
+        """Remember that these modes were factorised at `posture` and sent as answer to a state."""
         self._answered_ns = state.stamp_ns
         for mode in modes:
             before = self._sent.get(mode)
             tries = 1 if before is None or before.arrived else before.tries + 1
-            posture = state.q[7:].copy()
-            self._sent[mode] = _Sent(state.sequence, state.stamp_ns, posture, tries)
+            self._sent[mode] = _Sent(state.sequence, state.stamp_ns, posture.copy(), tries)
 
     def _note_arrivals(self, state: RobotState, holds: tuple[int, ...]) -> None:
         for mode, sent in self._sent.items():
@@ -65,7 +71,13 @@ class FactorisationRefresh:
                 self._round_trip_ns = state.stamp_ns - sent.stamp_ns
                 self._sent[mode] = replace(sent, arrived=True)
 
-    def _is_due(self, mode: ContactMode, state: RobotState, needed: set[ContactMode]) -> bool:
+    def _is_due(
+        self,
+        mode: ContactMode,
+        state: RobotState,
+        needed: set[ContactMode],
+        posture: np.ndarray,
+    ) -> bool:
         sent = self._sent.get(mode)
         if sent is None:
             return True
@@ -74,8 +86,7 @@ class FactorisationRefresh:
             return True
         if elapsed_ns < self._config.refresh_interval_ns:
             return False
-        # The root of the mean square, over which the noise of many joints averages out.
-        moved = state.q[7:] - sent.posture
+        moved = posture - sent.posture
         distance = math.sqrt(moved @ moved / len(moved))
         return mode in needed and distance > self._config.refresh_distance
 

@@ -195,9 +195,10 @@ class CorrectionConfig:
 
     The edge factorises the present contact mode and the next one again when the joints are
     `refresh_distance` [rad] from where they were, root of the mean square, at most once per
-    `refresh_interval_ns`; and sends again after `retry_ns`, then ever later, what the robot does
-    not say it holds, or a sign of life. `posture_error` moves every joint that far, in a
-    direction that the seed draws, before it factorises [rad]: how wrong may a factorisation be?
+    `refresh_interval_ns`; measured positions are averaged over `average_ns`, 0 for not at all. It
+    sends again after `retry_ns`, then ever later, what the robot does not say it holds, or a sign
+    of life. `posture_error` moves every joint that far, in a direction that the seed draws, before
+    it factorises [rad]: how wrong may a factorisation be?
     `relaxation` is the part of a correction that is applied.
 
     The contraction estimate decides on which rung the robot stands. Above `refresh_above` the
@@ -210,8 +211,9 @@ class CorrectionConfig:
     iterations: int = 1
     iterations_at_switch: int = 3
     damping: float = 0.0
-    refresh_distance: float = 0.02
+    refresh_distance: float = 0.015
     refresh_interval_ns: int = 20_000_000
+    average_ns: int = 10_000_000
     retry_ns: int = 100_000_000
     posture_error: float = 0.0
     relaxation: float = 1.0
@@ -287,6 +289,7 @@ class RunConfig:
                 )
             ),
             ("correction.refresh_interval_ns", self.correction.refresh_interval_ns, 0),
+            ("correction.average_ns", self.correction.average_ns, 0),
             ("correction.retry_ns", self.correction.retry_ns, 1_000_000),
             ("plant.friction", self.plant.friction, 1e-3),
             ("loop.connect_timeout", self.loop.connect_timeout, 0.0),

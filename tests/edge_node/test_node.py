@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from edge_node.node import EdgeNode
+from shared.config import CorrectionConfig
 from shared.telemetry import SOLVE_SCHEMA
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import factorise_kkt
@@ -234,7 +235,10 @@ def test_a_robot_that_corrects_is_sent_factorisations_of_its_state(
     edge, codec, state, stacks, states, model
 ):
     q, v = states[1]
-    edge.receive(state(17, session=99, stamp_ns=123_456_789_012, q=q, v=v, holds=NOTHING_HELD))
+    at_rest = np.zeros_like(v)
+    edge.receive(
+        state(17, session=99, stamp_ns=123_456_789_012, q=q, v=at_rest, holds=NOTHING_HELD)
+    )
     answer = edge.step()
     assert answer.state_sequence == 17
     message = codec.decode_factorisations(answer.data)
@@ -248,6 +252,17 @@ def test_a_robot_that_corrects_is_sent_factorisations_of_its_state(
             np.testing.assert_allclose(
                 getattr(each, name), getattr(expected, name), rtol=2.0**-24, atol=1e-12
             )
+
+
+def test_a_robot_in_motion_is_sent_a_factorisation_of_where_it_soon_is(edge, codec, state, states):
+    q, v = states[1]
+    edge.receive(state(0, q=q, v=v, holds=NOTHING_HELD))
+    sent = codec.decode_factorisations(edge.step().data).factorisations[0].posture - q[7:]
+    distance = CorrectionConfig().refresh_distance
+    assert 0.0 < np.sqrt(np.mean(sent**2)) < distance
+    np.testing.assert_allclose(
+        sent / np.linalg.norm(sent), v[6:] / np.linalg.norm(v[6:]), atol=1e-5
+    )
 
 
 def test_a_robot_that_holds_what_it_needs_is_left_alone(edge, state):
@@ -274,7 +289,7 @@ def test_what_is_sent_later_has_the_modes_that_are_due_only(edge, codec, state, 
     edge.step()
     q = robot.q_standing.copy()
     q[7:] += 0.11
-    edge.receive(state(1, stamp_ns=61_000_000, q=q, holds=(0, 0, 0)))
+    edge.receive(state(1, stamp_ns=361_000_000, q=q, holds=(0, 0, 0)))
     message = codec.decode_factorisations(edge.step().data)
     assert [each.mode for each in message.factorisations] == [ContactMode.DOUBLE_SUPPORT]
     np.testing.assert_allclose(message.factorisations[0].posture, q[7:], atol=1e-7)

@@ -52,7 +52,7 @@ class Bench:
         self._robot = robot
 
     def due(self, tick):
-        return self.refresh.due(self.state(tick), tuple(self.holds))
+        return self.refresh.due(self.state(tick), tuple(self.holds), posture=self.q[7:])
 
     def state(self, tick):
         # The robot's clock began long before.
@@ -71,7 +71,7 @@ class Bench:
         """What is due is computed, sent and, unless it is lost, held."""
         due = self.due(tick)
         if due is not None:
-            self.refresh.sent(self.state(tick), due)
+            self.refresh.sent(self.state(tick), due, posture=self.q[7:])
             if arrives:
                 for mode in due:
                     self.holds[mode] = tick
@@ -105,7 +105,7 @@ def test_what_was_not_sent_is_due_again(bench):
     asked = bench()
     assert asked.due(0) == EVERY_MODE
     assert asked.due(1) == EVERY_MODE
-    asked.refresh.sent(asked.state(1), (LEFT,))
+    asked.refresh.sent(asked.state(1), (LEFT,), posture=asked.q[7:])
     assert asked.due(2) == (DOUBLE, RIGHT)
 
 

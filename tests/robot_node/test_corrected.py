@@ -26,7 +26,11 @@ from tests.robot_node.bench import DEADLINE_NS, MS, SESSION, Bench, nothing
 DOUBLE = ContactMode.DOUBLE_SUPPORT
 NOISELESS = {"sensors.joint_position_noise": 0.0}
 # An answer to every state.
-EVERY_STATE = {"correction.refresh_distance": 0.0, "correction.refresh_interval_ns": 0}
+EVERY_STATE = {
+    "correction.refresh_distance": 0.0,
+    "correction.refresh_interval_ns": 0,
+    "correction.average_ns": 0,
+}
 # The edge sends factorisations in single precision: 1.5e-7 of y measured. In wild poses it is 7e-4.
 SINGLE_PRECISION = 1e-5
 

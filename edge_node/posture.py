@@ -1,0 +1,45 @@
+"""Where to factorise a robot in motion: at its posture without the noise, and a little ahead."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+# No velocity is a prediction for longer than this [s].
+_LEAD_SECONDS = 0.05
+
+
+class PostureEstimate:
+    """Joint positions [rad], carried on by the measured velocities, their noise averaged out.
+
+    `now` (nv − 6,) is where the joints are. The time constant of the average is `average_ns`; as it
+    corrects a prediction, steady motion makes no lag.
+    """
+
+    def __init__(self, average_ns: int) -> None:
+        self._average = average_ns * 1e-9
+        self.now = np.zeros(0)
+        self._v = np.zeros(0)
+        self._stamp_ns: int | None = None
+
+    def observe(self, q: np.ndarray, v: np.ndarray, *, stamp_ns: int) -> None:
+        """A newer state: q (nq,), v (nv,), when it was measured [ns]."""
+        measured = q[7:]
+        seconds = math.inf if self._stamp_ns is None else (stamp_ns - self._stamp_ns) * 1e-9
+        if self._average > 0.0 and 0.0 <= seconds < _LEAD_SECONDS:
+            carried = self.now + seconds * self._v
+            gain = -math.expm1(-seconds / self._average)
+            self.now = carried + gain * (measured - carried)
+        else:  # also the first one, after a gap, or of a robot that has started anew
+            self.now = measured.copy()
+        self._v, self._stamp_ns = v[6:], stamp_ns
+
+    def ahead(self, distance: float) -> np.ndarray:
+        """Where the joints will be after so much motion [rad], root of the mean square; (nv − 6,).
+
+        Or sooner, if that is further away than velocities can tell.
+        """
+        speed = math.sqrt(self._v @ self._v / len(self._v))
+        seconds = min(distance / speed, _LEAD_SECONDS) if speed > 0.0 else 0.0
+        return self.now + seconds * self._v
