@@ -94,9 +94,7 @@ class Laboratory:
         n_a = self.model.nv
         errors = np.full(_ITERATIONS, np.nan)
         for k in range(_ITERATIONS):
-            y = iterate.y
-            wrenches = self.stack.contacts.wrenches(y[n_a:])
-            now = self.model.kinematics(state.q, state.v, y[:n_a], wrenches)
+            now = self.stack.kinematics_at(iterate.y, model=self.model, q=state.q, v=state.v)
             residual = self.stack.right_hand_side(now, self.reference)
             corrected = corrector.step(iterate, residual, self.model, now)
             if corrected is None:

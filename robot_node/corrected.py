@@ -18,7 +18,8 @@ from shared.motion.reference import Reference
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Iterate
 from shared.wbc.model import Kinematics, WholeBodyModel
-from shared.wbc.stack import N_DYNAMICS, Stack
+from shared.wbc.stack import Stack
+from shared.wbc.torque import recover_torque
 
 # A probe of the contraction every so many ticks, and its weight in the average: 50 ms.
 _PROBE_TICKS = 10
@@ -128,10 +129,10 @@ class LocallyCorrected:
             if self._uncorrected:  # the probe was a look ahead only
                 self._iterate = first
         y = self._iterate.y
-        force = self._model.inverse_dynamics(q, v, y[: self._model.nv], self._wrenches(y))
+        tau = recover_torque(self._model, self._stack.contacts, q, v, y)
         posture = entry.corrector.factorisation.posture
         return Decision(
-            tau=force[N_DYNAMICS:].copy(),
+            tau=tau,
             y=y,
             mode=self._stack.mode,
             active_set=active_set,
@@ -149,14 +150,9 @@ class LocallyCorrected:
 
     def _linearise(self, q: np.ndarray, v: np.ndarray) -> None:
         """The residuals of all rows at the iterate and the present state."""
-        y = self._iterate.y
-        a = y[: self._model.nv]
-        self._now = self._model.kinematics(q, v, a, self._wrenches(y))
+        self._now = self._stack.kinematics_at(self._iterate.y, model=self._model, q=q, v=v)
         self._residual = self._stack.right_hand_side(self._now, self._reference)
 
     def _size(self, correction: np.ndarray) -> float:
         a, f = correction[: self._model.nv], _FORCE_SCALE * correction[self._model.nv :]
         return math.sqrt(a @ a + f @ f)
-
-    def _wrenches(self, y: np.ndarray) -> dict:
-        return self._stack.contacts.wrenches(y[self._model.nv :])

@@ -22,6 +22,7 @@ PLOTS = (
     ("Computation [ms]", "plots/compute", True),
     ("CoM error [cm]", "plots/com_error", False),
     ("Contact violation [m/s²]", "plots/contact_violation", False),
+    ("Correction (LC)", "plots/correction", True),
 )
 
 
@@ -47,7 +48,7 @@ def layout(*, live: bool) -> rrb.Blueprint:
             rrb.Vertical(
                 rrb.Horizontal(*plots[0:2]),
                 rrb.Horizontal(*plots[2:4]),
-                rrb.Horizontal(*plots[4:6]),
+                rrb.Horizontal(*plots[4:7]),
                 source,
                 row_shares=[3, 3, 3, 1.4],
             ),

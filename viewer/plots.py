@@ -83,6 +83,14 @@ TICK_SERIES = (
         values=lambda schema, rows: schema.column(rows, "contact_violation_m_s2")[:, None],
     ),
     Series(
+        path="plots/correction",
+        names=("contraction", "staleness [rad]"),
+        colours=(YELLOW, GREEN),
+        values=lambda schema, rows: np.column_stack(
+            [schema.column(rows, name) for name in ("contraction", "staleness_rad")]
+        ),
+    ),
+    Series(
         path="plots/compute/tick",
         names=("robot tick", "tick late by"),
         colours=(BLUE, RED),

@@ -22,7 +22,7 @@ from shared.config import WbcConfig
 from shared.motion.reference import Reference
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactGeometry, ContactMode, contact_geometry
-from shared.wbc.model import Jacobians, Kinematics, RowMultipliers
+from shared.wbc.model import Jacobians, Kinematics, RowMultipliers, WholeBodyModel
 from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, SwingFootTask, Task
 
 N_DYNAMICS = 6
@@ -132,11 +132,18 @@ class Stack:
             ]
         )
 
+    def kinematics_at(
+        self, y: np.ndarray, *, model: WholeBodyModel, q: np.ndarray, v: np.ndarray
+    ) -> Kinematics:
+        """The kinematics at (q, v) under a solution y (n,): its accelerations and forces."""
+        n_a = self.layout.n_accelerations
+        return model.kinematics(q, v, y[:n_a], self.contacts.wrenches(y[n_a:]))
+
     def right_hand_side(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
         """b of Eq. (6), shape (layout.n_rows,).
 
         Dynamics rows −h_u [N, N m]; contact rows −J̇ v − kd J v [m/s², rad/s²]; task rows
-        √ω (s̈* − J̇ v); a final 1. With kinematics at a solution y it is the residual of every row
+        √ω (s̈* − J̇ v); a final 1. With `kinematics_at` a solution y it is the residual of every row
         at y instead: e − E y, √ω (s̈* − J̇ v − J a).
         """
         b = np.empty(self._n_rows)
