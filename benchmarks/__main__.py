@@ -1,4 +1,4 @@
-"""`python -m benchmarks core`: where the time goes, on this machine."""
+"""Speed and exactness on this machine."""
 
 from __future__ import annotations
 
@@ -6,20 +6,55 @@ from __future__ import annotations
 import shared.single_thread  # noqa: F401
 
 # isort: on
-from benchmarks import core
-from shared.cli import EXIT_STANDING, Parser, run
+import argparse
+
+from benchmarks import capacity, core, netem
+from shared.cli import EXIT_STANDING, Command, run, run_command
+from shared.errors import ConfigError
+
+
+def _add_core_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--repetitions", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=0)
+
+
+def _run_core(arguments: argparse.Namespace) -> int:
+    if arguments.repetitions < 1:
+        raise ConfigError(f"--repetitions: expected at least 1, got {arguments.repetitions}")
+    print(core.run(repetitions=arguments.repetitions, seed=arguments.seed))
+    return EXIT_STANDING
+
+
+def _add_netem_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement")
+
+
+def _run_netem(arguments: argparse.Namespace) -> int:
+    if not 1.0 <= arguments.seconds <= 3600.0:
+        raise ConfigError(f"--seconds: expected 1 to 3600, got {arguments.seconds:g}")
+    print(netem.run(seconds=arguments.seconds))
+    return EXIT_STANDING
+
+
+def _add_capacity_arguments(parser: argparse.ArgumentParser) -> None:
+    del parser
+
+
+def _run_capacity(arguments: argparse.Namespace) -> int:
+    del arguments
+    print(capacity.run())
+    return EXIT_STANDING
+
+
+_COMMANDS = (
+    Command("capacity", "recorded delays given back", _add_capacity_arguments, _run_capacity),
+    Command("core", "where the time goes", _add_core_arguments, _run_core),
+    Command("netem", "how exactly the link is emulated", _add_netem_arguments, _run_netem),
+)
 
 
 def main() -> int:
-    parser = Parser(prog="benchmarks", description=__doc__)
-    parser.add_argument("name", choices=["core"])
-    parser.add_argument("--repetitions", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    if arguments.repetitions < 1:
-        parser.error(f"--repetitions: expected at least 1, got {arguments.repetitions}")
-    print(core.run(repetitions=arguments.repetitions, seed=arguments.seed))
-    return EXIT_STANDING
+    return run_command("benchmarks", __doc__, _COMMANDS)
 
 
 if __name__ == "__main__":

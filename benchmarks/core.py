@@ -149,8 +149,7 @@ def _cases(
         active = daqp.solve(condensed.problem).active
         projector = factorise(stack, condensed, active)
         y = projector.apply(b)
-        wrenches = stack.contacts.wrenches(y[model.nv :])
-        at_solution = model.kinematics(q, v, y[: model.nv], wrenches)
+        at_solution = stack.kinematics_at(y, model=model, q=q, v=v)
         cases.append(
             _Case(
                 q=q,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import gc
 import itertools
+import math
 import os
-import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from shared.report import versions
+from shared.report import cpu_name, versions
 
 _WARM_UP = 50
 
@@ -48,15 +48,27 @@ def pin_to_one_core() -> str:
 
 def machine() -> str:
     """CPU name, and what else was running: numbers from a busy machine are to be distrusted."""
-    name = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        for line in cpuinfo.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                name = line.split(":", 1)[1].strip()
-                break
     load = f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
-    return f"{name}, {os.cpu_count()} cores, load average {load}"
+    return f"{cpu_name()}, {os.cpu_count()} cores, load average {load}"
+
+
+def cores_busy(*, seconds: float) -> float:
+    """Share of all cores that was busy for so long, 0 to 1; NaN where the system does not say."""
+    first = _processor_times()
+    time.sleep(seconds)
+    total, idle = (_processor_times() - first).T
+    return float(1.0 - idle / total) if total > 0 else math.nan
+
+
+def _processor_times() -> np.ndarray:
+    """Total and idle time of all cores since the start, in the system's ticks."""
+    stat = Path("/proc/stat")
+    if not stat.exists():
+        return np.zeros(2)
+    words = stat.read_text(encoding="utf-8").splitlines()[0].split()[1:9]
+    times = np.array([int(word) for word in words])
+    # Fields 4 and 5 of proc_stat(5): idle, and idle waiting for a disk.
+    return np.array([times.sum(), times[3:5].sum()])
 
 
 def measure(

@@ -73,7 +73,8 @@ class Supervisor:
             return
         if done:
             code = await process.wait()
-            raise LinkError(f"{service.name} did not start (exit {code}): {child.last_line}")
+            reason = child.last_line.removeprefix("error: ")
+            raise LinkError(f"{service.name} did not start (exit {code}): {reason}")
         raise LinkError(
             f"{service.name} was not ready within {service.ready_seconds:g} s; its log is "
             f"{self.folder / service.name}.log"

@@ -1,4 +1,4 @@
-"""The edge as a process: `python -m edge_node --listen tcp/…`."""
+"""The edge as a process: `python -m edge_node --listen tcp/…`. Serves robot after robot."""
 
 from __future__ import annotations
 
@@ -9,14 +9,22 @@ import shared.single_thread  # noqa: F401
 import time
 
 from edge_node.node import EdgeNode
+from edge_node.visits import Visits
 from shared.bus.base import Inbox
+from shared.bus.security import EDGE
 from shared.bus.zenoh_bus import ZenohBus
 from shared.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
 from shared.motion.plan import make_motion
 from shared.realtime import prepare, suspend_garbage_collection
 from shared.report import edge_report
 from shared.robots import load_robot
-from shared.service import EDGE_ENDPOINT, ServiceLog, StopSignal, add_service_arguments
+from shared.service import (
+    EDGE_ENDPOINT,
+    ServiceLog,
+    StopSignal,
+    add_service_arguments,
+    identity_from,
+)
 from shared.telemetry import SOLVE_SCHEMA
 from shared.wire.channels import DOWNLINK, SOLVES_KEY, UPLINK
 
@@ -26,39 +34,57 @@ _POLL_NS = 50_000_000
 
 def main() -> int:
     parser = Parser(prog="edge_node", description=__doc__)
-    parser.add_argument(
+    ways = parser.add_mutually_exclusive_group()
+    ways.add_argument(
         "--listen", metavar="ENDPOINT", default=EDGE_ENDPOINT, help="(default %(default)s)"
     )
+    ways.add_argument("--connect", metavar="ENDPOINT", help="a router to dial instead of listening")
     add_service_arguments(parser)
     add_run_arguments(parser)
     arguments = parser.parse_args()
     config = config_from(arguments)
     robot = load_robot(config.robot.name)
     node = EdgeNode(robot, config, make_motion(robot, config))
+    me = identity_from(arguments, role=EDGE, kind=robot.name)
     stop = StopSignal()
     scheduling = prepare(priority=_PRIORITY)
-    bus = ZenohBus(listen=[arguments.listen])
+    if arguments.connect is None:
+        bus = ZenohBus(
+            listen=[arguments.listen], largest=DOWNLINK.max_bytes, credentials=me.credentials
+        )
+    else:
+        bus = ZenohBus.dial(
+            arguments.connect,
+            within=config.loop.connect_timeout,
+            largest=DOWNLINK.max_bytes,
+            credentials=me.credentials,
+            stopping=lambda: stop.requested,
+        )
     log = ServiceLog(
         "edge", SOLVE_SCHEMA, out=arguments.out, telemetry=arguments.telemetry, key=SOLVES_KEY
     )
     inbox = Inbox()
-    bus.subscribe(UPLINK.key_for(robot.name), inbox.put)
-    downlink = bus.publisher(DOWNLINK.key_for(robot.name))
+    bus.subscribe(UPLINK.key_for(me.robot), inbox.put)
+    downlink = bus.publisher(DOWNLINK.key_for(me.robot))
     suspend_garbage_collection()
-    print(f"READY {arguments.listen} ({scheduling}; {config.wbc.solver})", flush=True)
+    where = arguments.connect or arguments.listen
+    print(f"READY {where} for {me.robot} ({scheduling}; {config.wbc.solver})", flush=True)
 
+    visits = Visits()
     while not stop.requested:
-        inbox.wait(_POLL_NS)
+        heard = inbox.wait(_POLL_NS)
         for data in inbox.take():
             node.receive(data)
         started_ns = time.monotonic_ns()
+        for line in visits.look(started_ns, heard=heard, refused=node.refused):
+            print(line, flush=True)
         answer = node.step()
         if answer is None:
             continue
         if answer.data is not None:
             downlink.publish(answer.data)
         solve_ns = time.monotonic_ns() - started_ns
-        answer.record(log.rows.row(), wall_ns=started_ns, solve_ns=solve_ns)
+        answer.record(log.row(), wall_ns=started_ns, solve_ns=solve_ns)
     bus.close()
     report = log.finish(
         lambda rows: edge_report(

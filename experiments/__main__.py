@@ -10,29 +10,23 @@ from experiments.corrections import add_corrections_arguments, run_corrections
 from experiments.figure import add_figure_arguments, run_figure
 from experiments.sweep import add_sweep_arguments, run_sweep
 from experiments.trial import add_trial_arguments, run_trial
-from shared.cli import Parser, run
+from shared.cli import Command, run, run_command
+
+_COMMANDS = (
+    Command("trial", "play one run and print its summary", add_trial_arguments, run_trial),
+    Command("sweep", "play a study and print its table", add_sweep_arguments, run_sweep),
+    Command("figure", "draw what a sweep has found", add_figure_arguments, run_figure),
+    Command(
+        "corrections",
+        "how far a factorisation may be from the state, without simulating",
+        add_corrections_arguments,
+        run_corrections,
+    ),
+)
 
 
 def main() -> int:
-    parser = Parser(prog="experiments", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, told, add_arguments, run_command in (
-        ("trial", "play one run and print its summary", add_trial_arguments, run_trial),
-        ("sweep", "play a study and print its table", add_sweep_arguments, run_sweep),
-        ("figure", "draw what a sweep has found", add_figure_arguments, run_figure),
-        (
-            "corrections",
-            "how far a factorisation may be from the state, without simulating",
-            add_corrections_arguments,
-            run_corrections,
-        ),
-    ):
-        command = commands.add_parser(name, help=told)
-        add_arguments(command)
-        command.set_defaults(run_command=run_command)
-    arguments = parser.parse_args()
-    code: int = arguments.run_command(arguments)
-    return code
+    return run_command("experiments", __doc__, _COMMANDS)
 
 
 if __name__ == "__main__":

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from edge_node.node import EdgeNode
-from netem.delay_line import DelayLine, Due
+from netem.delay_line import DelayLine, Due, make_lines
+from netem.networks import load_network
 from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
-from netem.profile import load_profile
 from netem.shim import record_message
 from robot_node.node import Command, RobotNode
 from shared.bus.base import Delivery, Inbox
@@ -31,7 +31,6 @@ from shared.config import RunConfig
 from shared.errors import LinkError
 from shared.metrics import task_discrepancy
 from shared.motion.plan import make_motion
-from shared.quantities import parse_outage
 from shared.report import edge_report, link_report, robot_report, summary
 from shared.robots import load_robot
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, RowLog, Schema
@@ -109,21 +108,9 @@ class Lockstep:
         if config.link.network == "direct":
             far = near
         else:
-            profile = load_profile(config.link.network)
+            profile = load_network(config.link.network)
             self._profile_name = profile.name
-            self._lines = [
-                DelayLine(
-                    profile,
-                    direction,
-                    start_ns=0,
-                    offset_ns=profile.start_offset_ns(config.seed),
-                    loss=config.link.loss,
-                    keep_order=config.link.keep_order,
-                    outages=[parse_outage(text) for text in config.link.outage],
-                    rng=np.random.default_rng([config.seed, 2, direction]),
-                )
-                for direction in (UP, DOWN)
-            ]
+            self._lines = make_lines(profile, config.link, seed=config.seed, start_ns=0)
             near.subscribe(up_key, self._shim(UP, far.publisher(up_key).forward))
             far.subscribe(down_key, self._shim(DOWN, near.publisher(down_key).forward))
         self._uplink = near.publisher(up_key)
@@ -144,7 +131,7 @@ class Lockstep:
 
         def receive(delivery: Delivery) -> None:
             sent_ns = self.clock.now_ns()
-            due_ns = line.push(delivery, sent_ns=sent_ns)
+            due_ns = line.push(delivery, sent_ns=sent_ns, size=len(delivery.data))
             if due_ns is None:
                 lost = Due(delivery, sent_ns, 0)
                 record_message(self.link.row(), direction, lost, released_ns=None)

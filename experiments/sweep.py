@@ -21,7 +21,6 @@ import itertools
 import json
 import multiprocessing
 import os
-import platform
 import signal
 import subprocess
 import sys
@@ -42,7 +41,7 @@ from experiments.trial_table import row_of, table_in_words, write_trials
 from shared.cli import EXIT_STANDING
 from shared.config import RunConfig
 from shared.errors import ConfigError
-from shared.report import versions
+from shared.report import cpu_name, versions
 
 _ROOT = Path(__file__).parents[1]
 # What a trial runs through; studies and pictures can change without making trials void.
@@ -288,7 +287,7 @@ def _about(study: Study, *, code: str, played: int, started: float, workers: int
         "study": study.name,
         "description": study.table.get("description", ""),
         "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
-        "machine": {"cpu": _cpu(), "cores": os.cpu_count()},
+        "machine": {"cpu": cpu_name(), "cores": os.cpu_count()},
         "versions": versions(),
         "commit": _git("rev-parse", "HEAD"),
         "dirty": None if status is None else bool(status),
@@ -308,12 +307,3 @@ def _git(*arguments: str) -> str | None:
     except (OSError, subprocess.CalledProcessError):
         return None
     return done.stdout.strip()
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()

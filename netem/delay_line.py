@@ -1,7 +1,7 @@
 """A queue that holds each message until its delay has passed: one direction of the link.
 
 Pure: it is told the time and asked what is due. A message is due at the time it was *sent* plus the
-profile's delay for that time, so that the shim's own transport does not add up. Never early, never
+profile's delay for it, so that the shim's own transport does not add up. Never early, never
 twice; in the order of sending unless `keep_order` is off.
 """
 
@@ -10,12 +10,14 @@ from __future__ import annotations
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from netem.profile import LOST, DelayProfile
-from shared.quantities import Outage
+from netem.networks import Profile
+from netem.profile import DIRECTIONS, LOST
+from shared.config import LinkConfig
+from shared.quantities import Outage, parse_outage
 
 Item = TypeVar("Item")
 
@@ -29,12 +31,34 @@ class Due(Generic[Item]):
     nominal_ns: int
 
 
+def make_lines(
+    profile: Profile, config: LinkConfig, *, seed: int, start_ns: int
+) -> list[DelayLine[Any]]:
+    """The two directions of a link that begins at `start_ns`, uplink first."""
+    count_as = (config.uplink_bytes, config.downlink_bytes)
+    return [
+        DelayLine(
+            profile,
+            direction,
+            start_ns=start_ns,
+            offset_ns=profile.start_offset_ns(seed),
+            loss=config.loss,
+            keep_order=config.keep_order,
+            outages=[parse_outage(text) for text in config.outage],
+            count_as=count_as[direction],
+            queue_bytes=config.queue_bytes,
+            rng=np.random.default_rng([seed, 2, direction]),
+        )
+        for direction in range(len(DIRECTIONS))
+    ]
+
+
 class DelayLine(Generic[Item]):
     """Delays items by a profile; see the module. `lost` counts those dropped on purpose."""
 
     def __init__(
         self,
-        profile: DelayProfile,
+        profile: Profile,
         direction: int,
         *,
         start_ns: int,
@@ -42,11 +66,14 @@ class DelayLine(Generic[Item]):
         loss: float = 0.0,
         keep_order: bool = True,
         outages: Sequence[Outage] = (),
+        count_as: int = 0,
+        queue_bytes: int = LinkConfig.queue_bytes,
         rng: np.random.Generator,
     ) -> None:
         self.profile = profile
-        self.direction = direction
         self.lost = 0
+        self._delay_ns = profile.source(direction, queue_bytes=queue_bytes)
+        self._count_as = count_as
         self._start_ns = start_ns
         self._offset_ns = offset_ns
         self._loss = loss
@@ -60,10 +87,10 @@ class DelayLine(Generic[Item]):
     def __len__(self) -> int:
         return len(self._heap)
 
-    def push(self, item: Item, *, sent_ns: int) -> int | None:
-        """Take a message in; return when it is due [ns], or None if the link loses it."""
+    def push(self, item: Item, *, sent_ns: int, size: int = 0) -> int | None:
+        """Take in a message of `size` bytes; when it is due [ns], or None if the link loses it."""
         elapsed_ns = max(0, sent_ns - self._start_ns)
-        delay_ns = self.profile.delay_ns(self.direction, elapsed_ns + self._offset_ns)
+        delay_ns = self._delay_ns(elapsed_ns + self._offset_ns, self._count_as or size)
         for outage in self._outages:
             if outage.begun(elapsed_ns):
                 if outage.duration_ns is None:

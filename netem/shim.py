@@ -1,8 +1,8 @@
 """The shim: two delay lines between a near side (the robot) and a far side (the edge).
 
-Messages come in on the buses' threads and go out on one releasing thread, which sleeps until the
-next one is due. A message is due a nominal delay after it was *sent*
-if sender and shim read the same clock, else after it arrived. Payloads are opaque.
+Messages come in on the buses' threads and go out on one releasing thread, which sleeps until just
+before the next one is due. A message is due a nominal delay after it was *sent* if sender and shim
+read the same clock, else after it arrived. Payloads are opaque.
 """
 
 from __future__ import annotations
@@ -14,14 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from netem.delay_line import DelayLine, Due
-from netem.profile import DIRECTIONS, DelayProfile
+from netem.delay_line import DelayLine, Due, make_lines
+from netem.networks import Profile
 from shared.bus.base import Delivery, Publisher
 from shared.config import LinkConfig
-from shared.quantities import parse_outage
 from shared.telemetry import LINK_SCHEMA, RowLog
 
 _IDLE_SECONDS = 0.1
+# A sleeping thread wakes some 60 µs late; that much is spun. More is taken from the edge
+# (`docs/timing.md`).
+_SPIN_NS = 80_000
+# A constant profile is one period long; that it begins again is no news.
+_CONSTANT_SECONDS = 0.01
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Shim:
 
     def __init__(
         self,
-        profile: DelayProfile,
+        profile: Profile,
         config: LinkConfig,
         *,
         seed: int,
@@ -53,7 +57,7 @@ class Shim:
         self._log = log
         self._clock = clock
         self._say = say
-        self._lines: tuple[DelayLine[Delivery], ...] = ()
+        self._lines: list[DelayLine[Delivery]] = []
         self._changed = threading.Condition()
         self.passes = 0
 
@@ -68,7 +72,7 @@ class Shim:
                 if not self._lines:
                     self._start(sent_ns)
                 line = self._lines[direction]
-                due_ns = line.push(delivery, sent_ns=sent_ns)
+                due_ns = line.push(delivery, sent_ns=sent_ns, size=len(delivery.data))
                 if due_ns is None:
                     lost = Due(delivery, sent_ns, 0)
                     record_message(self._log.row(), direction, lost, released_ns=None)
@@ -85,20 +89,8 @@ class Shim:
 
     def _start(self, now_ns: int) -> None:
         """The profile begins with the first message."""
+        self._lines = make_lines(self._profile, self._config, seed=self._seed, start_ns=now_ns)
         offset_ns = self._profile.start_offset_ns(self._seed)
-        self._lines = tuple(
-            DelayLine(
-                self._profile,
-                direction,
-                start_ns=now_ns,
-                offset_ns=offset_ns,
-                loss=self._config.loss,
-                keep_order=self._config.keep_order,
-                outages=[parse_outage(text) for text in self._config.outage],
-                rng=np.random.default_rng([self._seed, 2, direction]),
-            )
-            for direction in range(len(DIRECTIONS))
-        )
         self._say(f"replaying {self._profile.name} from {offset_ns * 1e-9:.3f} s")
 
     def _wait_for_work(self) -> bool:
@@ -108,10 +100,15 @@ class Shim:
             if not due:
                 self._changed.wait(_IDLE_SECONDS)
                 return False
-            remaining_ns = min(due) - time.monotonic_ns()
-            if remaining_ns > 0:
-                self._changed.wait(remaining_ns * 1e-9)
-            return remaining_ns <= 0
+            due_ns = min(due)
+            sleep_ns = due_ns - time.monotonic_ns() - _SPIN_NS
+            if sleep_ns > 0:
+                self._changed.wait(sleep_ns * 1e-9)
+                return False
+        # Without the lock: messages come in meanwhile.
+        while time.monotonic_ns() < due_ns:
+            pass
+        return True
 
     def _release(self) -> None:
         with self._changed:
@@ -128,8 +125,8 @@ class Shim:
                 record_message(self._log.row(), direction, due, released_ns=released_ns)
         if passes > self.passes:
             self.passes = passes
-            if self._profile.delays_ns.shape[1] > 1:
-                seconds = self._profile.duration_ns * 1e-9
+            seconds = self._profile.duration_ns * 1e-9
+            if seconds > _CONSTANT_SECONDS:
                 self._say(f"profile {self._profile.name} ended after {seconds:g} s: from its start")
 
 

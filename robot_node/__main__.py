@@ -14,6 +14,7 @@ from robot_node.live import LiveLoop, Narrator
 from robot_node.node import RobotNode, needs_on_board_computer
 from robot_node.worker import WorkerComputer
 from shared.bus.base import Inbox
+from shared.bus.knock import knock
 from shared.bus.zenoh_bus import ZenohBus
 from shared.cli import EXIT_FELL, EXIT_STANDING, Parser, add_run_arguments, config_from, run
 from shared.errors import LinkError
@@ -21,7 +22,13 @@ from shared.motion.plan import make_motion
 from shared.realtime import prepare, suspend_garbage_collection
 from shared.report import robot_report
 from shared.robots import load_robot
-from shared.service import NETEM_ENDPOINT, ServiceLog, StopSignal, add_service_arguments
+from shared.service import (
+    NETEM_ENDPOINT,
+    ServiceLog,
+    StopSignal,
+    add_service_arguments,
+    identity_from,
+)
 from shared.wire.channels import DOWNLINK, TICKS_KEY, UPLINK
 
 _PRIORITY = 30
@@ -34,7 +41,7 @@ def main() -> int:
         "--connect",
         metavar="ENDPOINT",
         default=NETEM_ENDPOINT,
-        help="the shim, or the edge itself (default %(default)s)",
+        help="the shim, the edge itself, or a router (default %(default)s)",
     )
     add_service_arguments(parser)
     add_run_arguments(parser)
@@ -42,11 +49,18 @@ def main() -> int:
     config = config_from(arguments)
     robot = load_robot(config.robot.name)
     motion = make_motion(robot, config)
+    me = identity_from(arguments, role=None, kind=robot.name)
     stop = StopSignal()
     computer = WorkerComputer(config) if needs_on_board_computer(config, motion) else None
     node = RobotNode(robot, config, motion, computer=computer)
     scheduling = prepare(priority=_PRIORITY)
-    bus = ZenohBus(connect=[arguments.connect])
+    bus = ZenohBus.dial(
+        arguments.connect,
+        within=config.loop.connect_timeout,
+        largest=UPLINK.max_bytes,
+        credentials=me.credentials,
+        stopping=lambda: stop.requested,
+    )
     log = ServiceLog(
         "telemetry",
         node.schema,
@@ -55,11 +69,18 @@ def main() -> int:
         key=TICKS_KEY.format(robot=robot.name),
     )
     inbox = Inbox()
-    uplink = bus.publisher(UPLINK.key_for(robot.name))
-    loop = LiveLoop(node, config.loop, uplink=uplink, inbox=inbox, log=log.rows)
-    bus.subscribe(DOWNLINK.key_for(robot.name), loop.receive)
+    uplink = bus.publisher(UPLINK.key_for(me.robot))
+    loop = LiveLoop(
+        node,
+        config.loop,
+        uplink=uplink,
+        inbox=inbox,
+        log=log.rows,
+        explain=lambda: knock(arguments.connect, me.credentials),
+    )
+    bus.subscribe(DOWNLINK.key_for(me.robot), loop.receive)
     suspend_garbage_collection()
-    print(f"READY {robot.name} → {arguments.connect} ({scheduling})", flush=True)
+    print(f"READY {me.robot} → {arguments.connect} ({scheduling})", flush=True)
 
     failure: LinkError | None = None
     with Narrator(loop, lambda text: print(text, flush=True)):

@@ -41,10 +41,18 @@ class LiveLoop:
 
     Eq. (7) has the robot wait d* for the answer to this tick's state. While the last answer took
     longer than d* to come, the wait would be in vain, and the command follows at once.
+    `explain` says what is at the endpoint if no answer comes.
     """
 
     def __init__(
-        self, node: RobotNode, config: LoopConfig, *, uplink: Publisher, inbox: Inbox, log: RowLog
+        self,
+        node: RobotNode,
+        config: LoopConfig,
+        *,
+        uplink: Publisher,
+        inbox: Inbox,
+        log: RowLog,
+        explain: Callable[[], str],
     ) -> None:
         self.progress = Progress()
         self.wall_seconds = 0.0
@@ -53,6 +61,7 @@ class LiveLoop:
         self._uplink = uplink
         self._inbox = inbox
         self._log = log
+        self._explain = explain
         self._clock = MonotonicClock()
         self._arrived_ns = 0
         self._round_trip_ns = 0
@@ -108,13 +117,18 @@ class LiveLoop:
         self.wall_seconds = (clock.now_ns() - task_began_ns) * 1e-9
 
     def _check_timeout(self, waited_ns: int) -> None:
-        if waited_ns > self._config.connect_timeout * 1e9:
-            refused = dict(self._node.cache.refused)
-            raise LinkError(
-                f"no projector from the edge within {self._config.connect_timeout:g} s: received "
-                f"{self._inbox.counter.received} messages, refused {refused or 'none'}; is the "
-                "edge running with the same configuration, and is the endpoint right?"
-            )
+        if waited_ns <= self._config.connect_timeout * 1e9:
+            return
+        refused = dict(self._node.cache.refused)
+        reason = (
+            f"{self._inbox.counter.received} messages came, refused: {refused}; start both ends "
+            "from the same version and the same --config"
+            if refused
+            else self._explain()
+        )
+        raise LinkError(
+            f"no projector from the edge within {self._config.connect_timeout:g} s: {reason}"
+        )
 
 
 class Narrator:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from shared.config import COM_PLANS, CONTROLLERS, TASKS, VIEWS, RunConfig
@@ -26,6 +27,29 @@ class Parser(argparse.ArgumentParser):
         raise SystemExit(EXIT_ERROR)
 
 
+@dataclass(frozen=True)
+class Command:
+    """A subcommand: its name, what it does in a line, its options, and what runs it."""
+
+    name: str
+    told: str
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], int]
+
+
+def run_command(prog: str, description: str | None, commands: Sequence[Command]) -> int:
+    """Parse the command line of a program of several commands and run the one that it names."""
+    parser = Parser(prog=prog, description=description)
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    for command in commands:
+        subparser = subparsers.add_parser(command.name, help=command.told)
+        command.add_arguments(subparser)
+        subparser.set_defaults(run_command=command.run)
+    arguments = parser.parse_args()
+    code: int = arguments.run_command(arguments)
+    return code
+
+
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """The options that describe a run; each overrides the configuration file."""
     group = parser.add_argument_group("the run (flags override --config)")
@@ -35,7 +59,8 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--network",
         help="a shipped profile (factory/003), a .npz or .csv file, constant:ROUND_TRIP "
-        "(constant:30ms), constant:UP/DOWN, or direct",
+        "(constant:30ms), constant:UP/DOWN; capacity: before any of them replays the link behind "
+        "it; or direct",
     )
     group.add_argument("--duration", type=float, help="seconds of simulated time")
     group.add_argument("--seed", type=int, help="of noise, loss and the profile's starting point")

@@ -108,6 +108,10 @@ class LoopConfig:
 class LinkConfig:
     """The emulated link. `network` is a profile name, a file, `constant:30ms` or `direct`.
 
+    After `capacity:` a profile's capacity is replayed instead of its delays: each direction queues
+    at most `queue_bytes`, and what finds no room is lost. A message counts as `uplink_bytes` or
+    `downlink_bytes`, whatever its own size, where these are not zero.
+
     `loss` is an independent loss probability per message, each way. `keep_order` holds a message
     back until those sent before it have left, as a radio link layer does. In an `outage`, of the
     link's own time, nothing passes: what is sent then waits for its end.
@@ -117,6 +121,9 @@ class LinkConfig:
     loss: float = 0.0
     keep_order: bool = True
     outage: tuple[str, ...] = ()
+    uplink_bytes: int = 0
+    downlink_bytes: int = 0
+    queue_bytes: int = 20 * 2**20
 
 
 @dataclass(frozen=True)
@@ -296,6 +303,9 @@ class RunConfig:
             ("loop.hold_after", self.loop.hold_after, 0.0),
             ("loop.edge_compute_ns", self.loop.edge_compute_ns, 0),
             ("link.loss", self.link.loss, 0.0),
+            ("link.uplink_bytes", self.link.uplink_bytes, 0),
+            ("link.downlink_bytes", self.link.downlink_bytes, 0),
+            ("link.queue_bytes", self.link.queue_bytes, 1),
         ):
             finite = math.isfinite(value) or name in _MAY_BE_INFINITE
             if not (value >= low and finite):

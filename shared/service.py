@@ -1,4 +1,4 @@
-"""What every process of the stack shares: flags, stop signal, telemetry hub, files of its part.
+"""What every process of the stack shares: flags, name, stop signal, telemetry hub, its files.
 
 A service prints `READY …` once it can be used; whoever supervises it waits for that line.
 """
@@ -10,16 +10,22 @@ import json
 import signal
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import numpy as np
+
+from shared.bus.security import DEFAULT_FOLDER, Credentials, robot_role
 from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import ConfigError
 from shared.telemetry import RowLog, Schema, write_parquet
 
 EDGE_ENDPOINT = "tcp/127.0.0.1:7460"
 NETEM_ENDPOINT = "tcp/127.0.0.1:7461"
+# An hour at 1 kHz: a service that runs for days should not fill the disk.
+_MAX_ROWS = 3_600_000
 
 
 class StopSignal:
@@ -35,11 +41,45 @@ class StopSignal:
 
 
 def add_service_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where a service reports to and where it leaves its files."""
+    """Where a service reports to and leaves its files, and how it is known on the link."""
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for this process's files")
     parser.add_argument(
         "--telemetry", metavar="ENDPOINT", help="hub to publish measurements to, never the link"
     )
+    add_identity_arguments(parser)
+
+
+def add_identity_arguments(parser: argparse._ActionsContainer) -> None:
+    """A robot's name and the certificates; of a parser or a group."""
+    parser.add_argument(
+        "--name", help="of the robot on the link, so that there may be several of a kind"
+    )
+    parser.add_argument(
+        "--secure",
+        metavar="DIR",
+        nargs="?",
+        type=Path,
+        const=Path(DEFAULT_FOLDER),
+        help="mutual TLS and access control, with the certificates that deploy/keys made "
+        "(default %(const)s)",
+    )
+
+
+@dataclass(frozen=True)
+class Identity:
+    """The robot's name on the link, and this process's credentials (None: nothing is secured)."""
+
+    robot: str
+    credentials: Credentials | None
+
+
+def identity_from(arguments: argparse.Namespace, *, role: str | None, kind: str) -> Identity:
+    """Who a service is. `role` None: the robot itself; `kind` of robot: its name unless given."""
+    robot: str = arguments.name or kind
+    robots_role = robot_role(robot)
+    if arguments.secure is None:
+        return Identity(robot, None)
+    return Identity(robot, Credentials.load(arguments.secure, role or robots_role, robots=(robot,)))
 
 
 class ServiceLog:
@@ -65,6 +105,15 @@ class ServiceLog:
                 raise ConfigError(f"out: cannot create {out}: {error.strerror}") from None
         folder = out if out is not None else Path(self._temporary.name)
         self.rows = RowLog(schema, path=folder / f"{name}.rows", publish=publish)
+        self._spare = np.zeros(schema.width)
+        self._left = _MAX_ROWS
+
+    def row(self) -> np.ndarray:
+        """The next row to fill; after an hour's worth, one that goes nowhere."""
+        if self._left == 0:
+            return self._spare
+        self._left -= 1
+        return self.rows.row()
 
     def finish(self, report: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
         """End the log, turn its rows into Parquet, write and return `report(rows)`."""

@@ -25,8 +25,8 @@ A study is a TOML file; those beside this file are known by name. Every key may 
 Cells, grid and draws go over the base, and share no setting; under it is what the task presets. A
 setting that is a list is one in the base, and in the grid a list of lists, as in
 `push = [["100N@1.0s:0.2s:+y"], []]`. For `profiles:factory`, seed k gets the k-th shipped profile
-of that scenario, and after the last the first again. A number of a push that is a pair is drawn
-from between the two.
+of that scenario, and after the last the first again; `capacity:profiles:factory` is the capacity
+behind it. A number of a push that is a pair is drawn from between the two.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from typing import Any
 
 import numpy as np
 
-from netem.profile import load_profile, shipped_names
+from netem.networks import CAPACITY, load_profile, shipped_names
 from shared.config import RunConfig
 from shared.config_file import dump_config, load_config
 from shared.errors import ConfigError, UserError
@@ -140,7 +140,7 @@ class Study:
         given = {**cell.settings, **drawn, "seed": seed}
         network = given.get("link.network")
         try:
-            if isinstance(network, str) and network.startswith(PROFILES):
+            if isinstance(network, str) and PROFILES in network:
                 given["link.network"] = _profile_of(network, seed, shipped)
             config = load_config(None, given)
             identity = _identity(config)
@@ -283,18 +283,22 @@ def _flat(table: Any, where: str) -> dict[str, Any]:
 
 
 def _profile_of(network: str, seed: int, shipped: list[str]) -> str:
-    """The profile of a seed of `profiles:SCENARIO`."""
-    names = [name for name in shipped if PROFILES + name.rpartition("/")[0] == network]
+    """The profile of a seed of `profiles:SCENARIO`, or of `capacity:profiles:SCENARIO`."""
+    capacity = CAPACITY if network.startswith(CAPACITY) else ""
+    wanted = network.removeprefix(capacity)
+    names = [name for name in shipped if PROFILES + name.rpartition("/")[0] == wanted]
     if not names:
         valid = ", ".join(sorted({PROFILES + name.rpartition("/")[0] for name in shipped}))
-        raise ConfigError(f"link.network: expected one of {valid}, got {network!r}")
-    return names[seed % len(names)]
+        raise ConfigError(
+            f"link.network: expected one of {valid}, or {CAPACITY} before it, got {network!r}"
+        )
+    return capacity + names[seed % len(names)]
 
 
 def _identity(config: RunConfig) -> str:
     digest = hashlib.sha256(dump_config(config, versions={}).encode())
     if config.link.network != "direct":
-        digest.update(load_profile(config.link.network).delays_ns.tobytes())
+        digest.update(load_profile(config.link.network.removeprefix(CAPACITY)).delays_ns.tobytes())
     return digest.hexdigest()[:16]
 
 

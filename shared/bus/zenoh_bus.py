@@ -3,7 +3,8 @@
 Explicit endpoints only (no multicast, no gossip), so that two processes talk through what stands
 between them and through nothing else. Shared memory is off: it would bypass the link. Publishers
 send at real-time priority, without batching, and drop rather than wait; only the shim waits, which
-lets out hundreds of messages at the end of an outage.
+lets out hundreds of messages at the end of an outage. With credentials, every connection is mutual
+TLS and every key is granted by name: `shared/bus/security.py`.
 """
 
 from __future__ import annotations
@@ -14,13 +15,28 @@ import time
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import zenoh
 
 from shared.bus.base import Delivery, Envelope, new_session
+from shared.bus.endpoint import parse_endpoint
+from shared.bus.knock import knock
+from shared.bus.security import Credentials
 from shared.errors import LinkError
 
-_ENDPOINT = re.compile(r"(tcp|tls|quic|udp|ws|unixsock-stream)/\S+")
+# A slow link should lose messages, not store them up: what waits here is old when it arrives. So
+# few batches wait in the process (Zenoh's two lose bursts of 40 kB messages), and the send buffer
+# in the kernel, which doubles it, is small. Smaller than what is under way on the path, it would
+# make messages wait for acknowledgements instead: these are what 1 MB/s of states take at a round
+# trip of 30 ms, and 100 Mbit/s of projectors at 10 ms. Measured: docs/real-network.md.
+_LINK_BATCHES, _LOCAL_BATCHES = 4, 16
+_SMALL_MESSAGE = 1_000
+_SMALL_SEND_BUFFER, _SEND_BUFFER, _LOCAL_SEND_BUFFER = 32_768, 131_072, 262_144
+# A robot that has lost its edge cannot wait for Zenoh's four seconds between two attempts.
+_RETRY = {"period_init_ms": 200, "period_max_ms": 500, "period_increase_factor": 2}
+# Long enough for a TLS handshake over a link that stalls; a signal to stop is seen in between.
+_ATTEMPT_SECONDS = 3.0
 
 
 def machine_clock() -> int:
@@ -33,17 +49,26 @@ def machine_clock() -> int:
 
 
 class ZenohBus:
-    """One Zenoh session. `LinkError` if an endpoint cannot be used."""
+    """One Zenoh session. `LinkError` if an endpoint cannot be used.
+
+    A `peer` speaks to those it is joined to, a `client` to all behind the one node it has dialled,
+    a `router` carries messages between its clients. `largest` is the bound [bytes] of what it sends
+    over a link, where buffers are small; without it nothing is slow. `settings` are Zenoh's own.
+    """
 
     def __init__(
-        self, *, listen: Sequence[str] = (), connect: Sequence[str] = (), mode: str = "peer"
+        self,
+        *,
+        listen: Sequence[str] = (),
+        connect: Sequence[str] = (),
+        mode: str = "peer",
+        largest: int | None = None,
+        credentials: Credentials | None = None,
+        settings: dict[str, Any] | None = None,
     ) -> None:
         for endpoint in (*listen, *connect):
-            if not _ENDPOINT.fullmatch(endpoint):
-                raise LinkError(
-                    f"endpoint: expected PROTOCOL/HOST:PORT as in tcp/127.0.0.1:7460, "
-                    f"got {endpoint!r}"
-                )
+            parse_endpoint(endpoint, secured=credentials is not None)
+        batches, send_buffer = _buffers(largest)
         config = zenoh.Config()
         for key, value in {
             "mode": mode,
@@ -51,15 +76,17 @@ class ZenohBus:
             "connect/endpoints": list(connect),
             "connect/timeout_ms": -1,
             "connect/exit_on_failure": False,
+            "connect/retry": _RETRY,
             "listen/timeout_ms": 0,
             "listen/exit_on_failure": True,
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
             "transport/shared_memory/enabled": False,
-            # The default of two batches per priority loses bursts of 40 kB messages on loopback.
-            "transport/link/tx/queue/size/real_time": 16,
-            # A slow link should lose messages, not store them up in the kernel.
-            "transport/link/tcp/so_sndbuf": 262_144,
+            "transport/link/tx/queue/size/real_time": batches,
+            "transport/link/tcp/so_sndbuf": send_buffer,
+            "transport/link/tls/so_sndbuf": send_buffer,
+            **({} if credentials is None else credentials.settings()),
+            **(settings or {}),
         }.items():
             config.insert_json5(key, json.dumps(value))
         try:
@@ -71,6 +98,43 @@ class ZenohBus:
             ) from None
         self._clock = machine_clock()
         self._declared: list[object] = []
+
+    @classmethod
+    def dial(
+        cls,
+        endpoint: str,
+        *,
+        within: float,
+        largest: int | None = None,
+        credentials: Credentials | None = None,
+        stopping: Callable[[], bool] = lambda: False,
+    ) -> ZenohBus:
+        """A client of the node at `endpoint`, an edge, a shim or a router, and of all behind it.
+
+        Tries for `within` [s]; then `LinkError` says what is at the endpoint instead. An end that
+        refuses the other's certificate is said at once. `KeyboardInterrupt` once `stopping()`.
+        A connection that is lost later is made again by itself.
+        """
+        deadline = time.monotonic() + within
+        while True:
+            found = knock(endpoint, credentials)
+            left = deadline - time.monotonic()
+            if stopping():
+                raise KeyboardInterrupt
+            try:
+                return cls(
+                    connect=[endpoint],
+                    mode="client",
+                    largest=largest,
+                    credentials=credentials,
+                    settings={
+                        "connect/timeout_ms": round(1e3 * min(max(left, 0.1), _ATTEMPT_SECONDS)),
+                        "connect/exit_on_failure": True,
+                    },
+                )
+            except LinkError:
+                if time.monotonic() > deadline:
+                    raise LinkError(f"no connection within {within:g} s: {found}") from None
 
     def publisher(self, key: str, *, wait_when_full: bool = False) -> ZenohPublisher:
         """A publisher that drops a message it cannot send at once, or one that waits."""
@@ -122,6 +186,13 @@ class ZenohPublisher:
             delivery.data, attachment=None if envelope is None else envelope.encode()
         )
         self.sent += 1
+
+
+def _buffers(largest: int | None) -> tuple[int, int]:
+    """Batches that may wait in the process, and the send buffer in the kernel [bytes]."""
+    if largest is None:
+        return _LOCAL_BATCHES, _LOCAL_SEND_BUFFER
+    return _LINK_BATCHES, _SMALL_SEND_BUFFER if largest <= _SMALL_MESSAGE else _SEND_BUFFER
 
 
 def _cause(error: Exception) -> str:

@@ -16,7 +16,7 @@ import pytest
 from experiments.studies import SHIPPED, draw, read_study
 from experiments.sweep import sweep
 from experiments.trial_table import read_trials, table_in_words, wilson_interval
-from netem.profile import shipped_names
+from netem.networks import shipped_names
 from shared.errors import ConfigError
 
 BASE = """

@@ -14,15 +14,18 @@ from pathlib import Path
 
 import pytest
 
+from deploy.namespaces import Machine
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
 class Process:
-    """A process with its output collected line by line."""
+    """A process with its output collected line by line; on another `machine` if one is given."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self, *arguments: str, machine: Machine | None = None) -> None:
+        command = [sys.executable, "-m", *arguments]
         self.popen = subprocess.Popen(
-            [sys.executable, "-m", *arguments],
+            command if machine is None else machine.command(*command),
             cwd=ROOT,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -85,8 +88,8 @@ def start() -> Iterator[Callable[..., Process]]:
     """Starts `python -m …`; everything started is ended with the test."""
     started: list[Process] = []
 
-    def launch(*arguments: str) -> Process:
-        started.append(Process(*arguments))
+    def launch(*arguments: str, machine: Machine | None = None) -> Process:
+        started.append(Process(*arguments, machine=machine))
         return started[-1]
 
     yield launch

@@ -11,15 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netem.profile import (
-    DOWNLINK,
-    LOST,
-    SHIPPED,
-    UPLINK,
-    DelayProfile,
-    load_profile,
-    shipped_names,
-)
+from netem.networks import SHIPPED, load_profile, shipped_names
+from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
 from shared.errors import ProfileError
 
 MS = 1_000_000

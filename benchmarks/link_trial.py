@@ -1,0 +1,133 @@
+"""One trial of a path between two ends, and how it compares with what the profile says."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.link_end import ARRIVED, ECHOED, SENT, SEQUENCE
+from benchmarks.link_paths import LinkPath, Started, started
+from shared.telemetry import LINK_SCHEMA, read_parquet
+
+_UP_BYTES, _DOWN_BYTES = 1_000, 40_000
+_SETTLE_SECONDS = 1.0
+
+Open = Callable[[Path], AbstractContextManager[LinkPath]]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What was sent within a span of time.
+
+    `arrivals` at the far end and at the near end, uplink and downlink, (n, 4) as `link_end` has
+    them. `log` is the shim's own, empty without one. `processor` is the share of a core that what
+    stands in between took. `scheduling` is what the near end runs at.
+    """
+
+    arrivals: tuple[np.ndarray, np.ndarray]
+    log: np.ndarray
+    processor: float
+    scheduling: str
+
+    def round_trips_ns(self) -> np.ndarray:
+        """Of the answers to the near end's messages (n,)."""
+        answers = self.arrivals[1]
+        return answers[:, ARRIVED] - answers[:, ECHOED]
+
+
+@dataclass(frozen=True)
+class WayErrors:
+    """One direction: achieved minus nominal delay of each message [ns], and what went wrong.
+
+    `released_ns` until the shim had handed it on, `received_ns` until the receiver had it.
+    """
+
+    messages: int
+    lost: int
+    early: int
+    swapped: int
+    released_ns: np.ndarray
+    received_ns: np.ndarray
+
+
+def run_trial(open_path: Open, *, seconds: float, answer: bool) -> Trial:
+    """Send both ways for so long; with `answer` the far end only answers."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with ExitStack() as stack:
+            path = stack.enter_context(open_path(folder))
+
+            def start(end: str, *options: str) -> Started:
+                prefix = path.far_prefix if end == "far" else path.near_prefix
+                out = ("--out", f"{folder}/{end}.npy")
+                process = started("benchmarks.link_end", end, *out, *options, prefix=prefix)
+                return stack.enter_context(process)
+
+            answering = ("--answer",) if answer else ()
+            far = start("far", "--endpoint", path.listen, "--bytes", str(_DOWN_BYTES), *answering)
+            if path.between is not None:
+                path.between.wait_for("READY")
+            near = start("near", "--endpoint", path.dial, "--bytes", str(_UP_BYTES))
+            for process in (far, near):
+                process.wait_for("FIRST")
+            time.sleep(_SETTLE_SECONDS)
+            begin_ns, used_before = time.monotonic_ns(), _processor_seconds(path)
+            time.sleep(seconds)
+            end_ns, used_after = time.monotonic_ns(), _processor_seconds(path)
+            for process in (far, near):
+                process.end()
+            scheduling = near.said.split("READY ")[1].splitlines()[0]
+        up, down = (np.load(folder / f"{end}.npy") for end in ("far", "near"))
+        log = folder / "link.parquet"
+        rows = read_parquet(log)[1] if log.exists() else np.zeros((0, LINK_SCHEMA.width))
+    return Trial(
+        arrivals=(_sent_within(up, begin_ns, end_ns), _sent_within(down, begin_ns, end_ns)),
+        log=rows,
+        processor=(used_after - used_before) / ((end_ns - begin_ns) * 1e-9),
+        scheduling=scheduling,
+    )
+
+
+def _processor_seconds(path: LinkPath) -> float:
+    return 0.0 if path.between is None else path.between.processor_seconds()
+
+
+def way_errors(trial: Trial, direction: int, *, one_way_ns: int | None) -> WayErrors:
+    """Errors of one direction; the nominal delay is `one_way_ns`, None: as the shim logged it."""
+    arrivals = trial.arrivals[direction]
+    sequence, sent_ns = arrivals[:, SEQUENCE], arrivals[:, SENT]
+    released_ns = np.empty(0, dtype=np.int64)
+    if one_way_ns is not None:
+        nominal_ns = np.full(len(arrivals), one_way_ns)
+    else:
+        log = trial.log[LINK_SCHEMA.column(trial.log, "direction") == direction]
+        log = log[np.argsort(LINK_SCHEMA.column(log, "wall_ns"))]
+        stamps, nominals, achieved = (
+            LINK_SCHEMA.column(log, name).astype(np.int64)
+            for name in ("wall_ns", "nominal_ns", "achieved_ns")
+        )
+        # A stamp names a message: one sender never sends two in the same nanosecond.
+        found = np.searchsorted(stamps, sent_ns)
+        assert np.array_equal(stamps[found], sent_ns)
+        nominal_ns = nominals[found]
+        released_ns = achieved[found] - nominal_ns
+    received_ns = arrivals[:, ARRIVED] - sent_ns - nominal_ns
+    return WayErrors(
+        messages=len(arrivals),
+        lost=int(np.ptp(sequence)) + 1 - len(arrivals) if len(arrivals) else 0,
+        early=int(np.sum(received_ns < 0)),
+        swapped=int(np.sum(np.diff(sequence) < 0)),
+        released_ns=released_ns,
+        received_ns=received_ns,
+    )
+
+
+def _sent_within(arrivals: np.ndarray, begin_ns: int, end_ns: int) -> np.ndarray:
+    sent_ns = arrivals[:, SENT]
+    return arrivals[(sent_ns >= begin_ns) & (sent_ns < end_ns)]

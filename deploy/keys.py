@@ -1,0 +1,290 @@
+"""Certificates for mutual TLS: an authority of your own and one certificate per role.
+
+Roles: edge, netem, router, and one per robot. The authority's key, ca.key, signs new ones and is
+needed nowhere else.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import re
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from shared.bus.security import (
+    AUTHORITY,
+    EDGE,
+    NETEM,
+    ROUTER,
+    certificate_file,
+    key_file,
+    robot_role,
+)
+from shared.cli import EXIT_STANDING, Parser, run
+from shared.config import RobotConfig
+from shared.errors import ConfigError
+
+LISTENERS = (EDGE, NETEM, ROUTER)
+THIS_MACHINE = ("localhost", "127.0.0.1", "::1")
+_AUTHORITY_DAYS, _DAYS = 3650, 825
+_HOST = re.compile(
+    r"(?=.{1,253}$)([a-z0-9_]([a-z0-9_-]{0,61}[a-z0-9])?)(\.[a-z0-9_-]{1,63})*", re.I
+)
+
+
+@dataclass(frozen=True)
+class Signer:
+    """A certificate and its private key: those of the authority sign others."""
+
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+
+def main() -> int:
+    parser = Parser(prog="deploy/keys", description=__doc__)
+    parser.add_argument("folder", metavar="DIR", type=Path, help="where the files go")
+    parser.add_argument(
+        "--robot",
+        metavar="NAME",
+        nargs="+",
+        action="extend",
+        help=f"robots by their names on the link (default {RobotConfig.name})",
+    )
+    parser.add_argument(
+        "--host",
+        metavar="NAME_OR_IP",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="how other machines call those that edge, netem and router listen on",
+    )
+    parser.add_argument(
+        "--add",
+        action="store_true",
+        help="with the authority that is in DIR, make what is missing; nothing is replaced",
+    )
+    arguments = parser.parse_args()
+    robots = tuple(dict.fromkeys(arguments.robot or [RobotConfig.name]))
+    made = make(arguments.folder, robots=robots, hosts=arguments.host, add=arguments.add)
+    print(_told(arguments.folder, made, hosts=arguments.host))
+    return EXIT_STANDING
+
+
+def make(
+    folder: Path,
+    *,
+    robots: Sequence[str],
+    hosts: Sequence[str] = (),
+    add: bool = False,
+    now: datetime | None = None,
+) -> list[str]:
+    """Make the authority and a certificate for every role; the roles made, in order.
+
+    With `add`, the authority is the one in the folder and roles that have a file are left alone.
+    `ConfigError` before anything is written if a name is bad or a file would be overwritten.
+    """
+    names = [*THIS_MACHINE, *(_checked_host(host) for host in hosts)]
+    roles = [*LISTENERS, *(robot_role(robot) for robot in robots)]
+    now = now or datetime.now(timezone.utc)
+    there = [role for role in roles if _files_of(folder, role)]
+    if add:
+        authority = _load_authority(folder)
+        roles = [role for role in roles if role not in there]
+        if not roles:
+            raise ConfigError(
+                f"keys: {folder} has certificates of {', '.join(there)} already; remove the files "
+                "of a role to have them made anew, or name another --robot"
+            )
+    else:
+        taken = [
+            *_files_of(folder, AUTHORITY),
+            *(f for role in there for f in _files_of(folder, role)),
+        ]
+        if taken:
+            raise ConfigError(
+                f"keys: expected a folder without certificates, {folder} has {taken[0].name}; name "
+                "another folder, or --add to make what is missing with the authority that is there"
+            )
+        authority = _new_authority(now)
+        _write(folder, AUTHORITY, authority)
+    for role in roles:
+        _write(folder, role, _issue(authority, role, names if role in LISTENERS else [role], now))
+    return roles
+
+
+def _new_authority(now: datetime) -> Signer:
+    key = ec.generate_private_key(ec.SECP256R1())
+    # A name of its own, so that two authorities are not taken for each other.
+    name = _name(f"remote-wbc {secrets.token_hex(4)}")
+    builder = (
+        _builder(name, name, key, now, days=_AUTHORITY_DAYS)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(_key_usage(signs_certificates=True), critical=True)
+    )
+    return Signer(builder.sign(key, hashes.SHA256()), key)
+
+
+def _issue(authority: Signer, role: str, hosts: Sequence[str], now: datetime) -> Signer:
+    key = ec.generate_private_key(ec.SECP256R1())
+    issuer = authority.certificate
+    builder = (
+        _builder(_name(role), issuer.subject, key, now, days=_DAYS)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_key_usage(signs_certificates=False), critical=True)
+        .add_extension(
+            x509.ExtendedKeyUsage(
+                [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+            ),
+            critical=False,
+        )
+        .add_extension(
+            x509.SubjectAlternativeName([_general_name(host) for host in hosts]), critical=False
+        )
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer.public_key()),  # type: ignore[arg-type]
+            critical=False,
+        )
+    )
+    return Signer(builder.sign(authority.key, hashes.SHA256()), key)
+
+
+def _builder(
+    subject: x509.Name,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePrivateKey,
+    now: datetime,
+    *,
+    days: int,
+) -> x509.CertificateBuilder:
+    # Begun a day ago: clocks of robots are wrong now and then.
+    begin = now - timedelta(days=1)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(begin)
+        .not_valid_after(now + timedelta(days=days))
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    )
+
+
+def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs_certificates,
+        key_cert_sign=signs_certificates,
+        crl_sign=signs_certificates,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _name(common_name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
+
+
+def _checked_host(host: str) -> str:
+    try:
+        return str(ipaddress.ip_address(host))
+    except ValueError:
+        # A dotted number that is no address is a mistyped address, not a name.
+        if _HOST.fullmatch(host) and not re.fullmatch(r"[\d.]+", host):
+            return host
+    raise ConfigError(
+        f"host: expected a name or an address as in edge.example.org or 192.0.2.7, without "
+        f"protocol and port, got {host!r}"
+    )
+
+
+def _general_name(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)
+
+
+def _files_of(folder: Path, role: str) -> list[Path]:
+    files = (certificate_file(folder, role), key_file(folder, role))
+    return [file for file in files if file.exists()]
+
+
+def _load_authority(folder: Path) -> Signer:
+    certificate, key = certificate_file(folder, AUTHORITY), key_file(folder, AUTHORITY)
+    try:
+        loaded = serialization.load_pem_private_key(key.read_bytes(), password=None)
+        signer = x509.load_pem_x509_certificate(certificate.read_bytes())
+    except OSError as error:
+        raise ConfigError(
+            f"keys: cannot read {error.filename}: {error.strerror}; --add needs the folder where "
+            "the authority was made; leave it out to make one"
+        ) from None
+    except (ValueError, TypeError):
+        raise ConfigError(
+            f"keys: {certificate} and {key} are not a certificate and its key"
+        ) from None
+    if not isinstance(loaded, ec.EllipticCurvePrivateKey):
+        raise ConfigError(
+            f"keys: {key} was not made by deploy/keys, expected an elliptic-curve key"
+        )
+    return Signer(signer, loaded)
+
+
+def _write(folder: Path, role: str, made: Signer) -> None:
+    private = made.key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    )
+    public = made.certificate.public_bytes(serialization.Encoding.PEM)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _create(key_file(folder, role), private, mode=0o600)
+        _create(certificate_file(folder, role), public, mode=0o644)
+    except OSError as error:
+        raise ConfigError(f"keys: cannot write {error.filename}: {error.strerror}") from None
+
+
+def _create(path: Path, data: bytes, *, mode: int) -> None:
+    """Write a file that is not there yet, with these permissions from its first moment."""
+    with os.fdopen(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode), "wb") as file:
+        file.write(data)
+
+
+def _told(folder: Path, roles: Sequence[str], *, hosts: Sequence[str]) -> str:
+    """What was made, and what belongs on which machine."""
+    ends = datetime.now(timezone.utc) + timedelta(days=_DAYS)
+    lines = [f"made in {folder}, valid until {ends:%Y-%m-%d}:"]
+    for role in roles:
+        where = (
+            f"the machine of {role.removeprefix('robot-')}"
+            if role not in LISTENERS
+            else f"the machine that runs {role}"
+        )
+        also = " and every robot-*.crt" if role == ROUTER else ""
+        lines.append(f"  {role}: copy ca.crt, {role}.crt, {role}.key{also} to {where}")
+    lines.append(
+        f"  keep {key_file(folder, AUTHORITY)} off all of them: it makes valid certificates"
+    )
+    if not hosts:
+        lines.append(
+            "  good on this machine only: give the edge's (or router's) name or address with --host"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    run(main)

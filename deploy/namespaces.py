@@ -1,0 +1,105 @@
+"""Two machines on one: network namespaces joined by a cable of limited rate.
+
+Each has its own loopback, addresses and routes, and nothing but the cable leads from one to the
+other. Linux only, as root, with `ip` and `tc` of iproute2.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from shared.errors import UserError
+
+_SECONDS = 10.0
+_PREFIX = "wbc-"
+_DEVICE = "cable"
+# What the cable holds back beyond its rate before it drops, as a modem's buffer does.
+_QUEUE = "50ms"
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A namespace and its address on the cable."""
+
+    namespace: str
+    address: str
+
+    def command(self, *arguments: str) -> list[str]:
+        """A command line that runs `arguments` there."""
+        return ["ip", "netns", "exec", self.namespace, *arguments]
+
+
+@dataclass(frozen=True)
+class Machines:
+    """The two ends of the cable."""
+
+    robot: Machine
+    edge: Machine
+
+
+@contextlib.contextmanager
+def two_machines(*, rate: str) -> Iterator[Machines]:
+    """Two machines joined at `rate`, as `tc` writes it (100mbit); gone afterwards.
+
+    `UserError` says why they cannot be had. Their names hold the pid, so that several may run at a
+    time, and what a killed process has left is removed by the next.
+    """
+    for tool in ("ip", "tc"):
+        if shutil.which(tool) is None:
+            raise UserError(f"namespaces: expected {tool} of iproute2 on this machine, found none")
+    if os.geteuid() != 0:
+        raise UserError("namespaces: only root may make them; run as root")
+    _remove_leftovers()
+    machines = Machines(
+        robot=Machine(f"{_PREFIX}robot-{os.getpid()}", "10.77.0.1"),
+        edge=Machine(f"{_PREFIX}edge-{os.getpid()}", "10.77.0.2"),
+    )
+    made: list[Machine] = []
+    try:
+        for machine in (machines.robot, machines.edge):
+            _run("ip", "netns", "add", machine.namespace)
+            made.append(machine)
+        ends = (machines.robot.namespace, "type", "veth", "peer", "name", _DEVICE)
+        _run(*("ip", "link", "add", _DEVICE, "netns", *ends, "netns", machines.edge.namespace))
+        for machine in made:
+            _connect(machine, rate=rate)
+        yield machines
+    finally:
+        for machine in made:
+            _run("ip", "netns", "delete", machine.namespace, check=False)
+
+
+def _remove_leftovers() -> None:
+    for path in Path("/run/netns").glob(f"{_PREFIX}*-*"):
+        pid = path.name.rpartition("-")[2]
+        if pid.isdigit() and not Path("/proc", pid).exists():
+            _run("ip", "netns", "delete", path.name, check=False)
+
+
+def _connect(machine: Machine, *, rate: str) -> None:
+    inside = ("ip", "-n", machine.namespace)
+    _run(*inside, "address", "add", f"{machine.address}/24", "dev", _DEVICE)
+    for device in ("lo", _DEVICE):
+        _run(*inside, "link", "set", device, "up")
+    limit = ("tbf", "rate", rate, "burst", "64kb", "latency", _QUEUE)
+    _run("tc", "-n", machine.namespace, "qdisc", "add", "dev", _DEVICE, "root", *limit)
+
+
+def _run(*command: str, check: bool = True) -> None:
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        timeout=_SECONDS,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+    if check and done.returncode != 0:
+        reason = (done.stderr.strip() or f"exit {done.returncode}").splitlines()[0]
+        raise UserError(f"namespaces: {' '.join(command)} failed: {reason}")

@@ -1,0 +1,206 @@
+"""Which services to start, and who dials whom: from the options to a list, nothing is started.
+
+From the edge to the robot the services are a chain, `edge ← router ← netem ← robot`; each dials the
+nearest one that is there, here or on another machine. The last of those here, unless it is the
+robot, listens for the machine where the chain goes on. The edge itself dials a router.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from shared.bus.endpoint import Endpoint, parse_endpoint
+from shared.bus.security import DEFAULT_FOLDER, Credentials, robot_role
+from shared.errors import ConfigError
+
+EDGE, ROUTER, NETEM, ROBOT, VIEWER = "edge", "router", "netem", "robot", "viewer"
+SERVICES = (EDGE, NETEM, ROBOT, VIEWER, ROUTER)
+_CHAIN = (EDGE, ROUTER, NETEM, ROBOT)
+# The router first: the edge dials it too.
+_STARTING = (ROUTER, EDGE, NETEM, VIEWER, ROBOT)
+_PORTS = {EDGE: 7460, NETEM: 7461, ROUTER: 7447}
+_MODULES = {
+    EDGE: ("edge_node",),
+    ROUTER: ("deploy.router",),
+    NETEM: ("netem", "replay"),
+    ROBOT: ("robot_node",),
+    VIEWER: ("viewer", "live"),
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """The flags that say what runs here and where the rest is: `edge`, `router` and `listen` are
+    endpoints, `secure` is the folder of certificates.
+    """
+
+    only: str | None = None
+    edge: str | None = None
+    router: str | None = None
+    listen: str | None = None
+    secure: Path | None = None
+
+
+@dataclass(frozen=True)
+class Step:
+    """A service to start as `python -m` these arguments, without those that all have.
+
+    The end of a `vital` one is the end of the run.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    vital: bool = True
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Services in the order of starting, their certificates, and what a person should know."""
+
+    steps: tuple[Step, ...]
+    secure: Path | None
+    notes: tuple[str, ...]
+
+    def has(self, name: str) -> bool:
+        """Whether a service is among them."""
+        return any(step.name == name for step in self.steps)
+
+
+def services_of(only: str | None, *, direct: bool) -> tuple[str, ...]:
+    """The services that `--only` names; without it all but a router, and a direct link's shim."""
+    if only is None:
+        return (EDGE, ROBOT, VIEWER) if direct else (EDGE, NETEM, ROBOT, VIEWER)
+    names = tuple(dict.fromkeys(name.strip() for name in only.split(",")))
+    for name in names:
+        if name not in SERVICES:
+            raise ConfigError(
+                f"only: expected some of {', '.join(SERVICES)}, with commas, got {name!r}"
+            )
+    if VIEWER in names and ROBOT not in names:
+        raise ConfigError("only: the viewer shows the robot of this machine; name both or neither")
+    if NETEM in names and direct:
+        raise ConfigError("network: direct means no shim; leave netem out of --only")
+    return names
+
+
+def make_plan(
+    options: Options, services: tuple[str, ...], *, view: str, free_port: Callable[[], int]
+) -> Plan:
+    """The plan for these services; `view` is `off` for no viewer. `ConfigError`, `LinkError` if
+    the endpoints do not fit the services or the certificates.
+    """
+    _check_who_dials(options, services)
+    given = [each for each in (options.edge, options.router, options.listen) if each is not None]
+    secure = options.secure
+    if secure is None and any(each.startswith(("tls/", "quic/")) for each in given):
+        secure = Path(DEFAULT_FOLDER)
+    secured = secure is not None
+    for each in given:
+        parse_endpoint(each, secured=secured)
+
+    here = [name for name in _CHAIN if name in services]
+    listens = _listening(options, here, secured=secured, free_port=free_port)
+    far = options.edge or options.router
+    dialled = parse_endpoint(far, secured=secured) if far is not None else None
+    notes = [] if dialled is None else _notes_on_dialling(dialled)
+    arguments: dict[str, tuple[str, ...]] = {VIEWER: ("--view", view)}
+    for name in here:
+        ends: list[str] = []
+        if name in listens:
+            ends += ["--listen", str(listens[name])]
+        router = listens.get(ROUTER, dialled) if name == EDGE else dialled
+        if name != ROUTER and router is not None:
+            ends += ["--connect", str(router.dialled_here)]
+        arguments[name] = tuple(ends)
+        dialled = listens.get(name, dialled)
+    outermost = here[-1]
+    if outermost in listens:
+        notes.append(_note_on_listening(outermost, listens[outermost]))
+    steps = tuple(
+        Step(name, (*_MODULES[name], *arguments[name]), vital=name != VIEWER)
+        for name in _STARTING
+        if name in services and (name != VIEWER or view != "off")
+    )
+    return Plan(steps, secure, tuple(notes))
+
+
+def check_credentials(plan: Plan, *, robot: str) -> None:
+    """Every service of the plan finds its certificate; `ConfigError` if not."""
+    own_role = robot_role(robot)
+    if plan.secure is None:
+        return
+    for name in _CHAIN:
+        if plan.has(name):
+            role = own_role if name == ROBOT else name
+            Credentials.load(plan.secure, role, robots=None if name == ROUTER else (robot,))
+
+
+def _check_who_dials(options: Options, services: tuple[str, ...]) -> None:
+    dials = [name for name in (NETEM, ROBOT) if name in services]
+    if options.edge is not None:
+        if options.router is not None:
+            raise ConfigError("edge: expected --edge or --router, got both")
+        if EDGE in services or ROUTER in services:
+            raise ConfigError(
+                f"edge: {EDGE if EDGE in services else ROUTER} is started here, so nothing dials "
+                f"{options.edge}; say what is to run here, as in --only robot,viewer"
+            )
+    elif options.router is not None:
+        if ROUTER in services:
+            raise ConfigError(
+                "router: expected one here (--only …) or elsewhere (--router), got both"
+            )
+    elif dials and EDGE not in services and ROUTER not in services:
+        raise ConfigError(
+            f"edge: {dials[-1]} needs one; add edge to --only, or say where it is, as in "
+            "--edge tls/HOST:7460"
+        )
+
+
+def _listening(
+    options: Options, here: list[str], *, secured: bool, free_port: Callable[[], int]
+) -> dict[str, Endpoint]:
+    """Where each service listens; those between two services of this machine on loopback."""
+    protocol = "tls" if secured else "tcp"
+    edge_dials = options.router is not None or ROUTER in here
+    listening = [name for name in here if name != ROBOT and not (name == EDGE and edge_dials)]
+    listens = {}
+    for name in listening:
+        if name != here[-1]:
+            listens[name] = Endpoint(protocol, "127.0.0.1", free_port())
+        elif options.listen is not None:
+            listens[name] = parse_endpoint(options.listen, secured=secured)
+        else:
+            # Without certificates, nobody else is let in unless that is asked for.
+            listens[name] = Endpoint(protocol, "0.0.0.0" if secured else "127.0.0.1", _PORTS[name])
+    if options.listen is not None and here[-1] not in listens:
+        raise ConfigError(
+            f"listen: expected none, as {here[-1]} dials and nothing here is dialled from elsewhere"
+        )
+    return listens
+
+
+def _note_on_listening(name: str, endpoint: Endpoint) -> str:
+    if endpoint.on_loopback:
+        port = endpoint.port or _PORTS[name]
+        return (
+            f"{name} listens on {endpoint}, for this machine only; for others: "
+            f"--listen tls/0.0.0.0:{port} (see docs/real-network.md)"
+        )
+    if endpoint.secured:
+        return f"{name} listens on {endpoint}, for those with a certificate"
+    return (
+        f"{name} listens on {endpoint}, UNPROTECTED: whoever reaches this port can move the robot; "
+        "on any network but your own use tls (see docs/real-network.md)"
+    )
+
+
+def _notes_on_dialling(endpoint: Endpoint) -> list[str]:
+    if endpoint.secured or endpoint.on_loopback:
+        return []
+    return [
+        f"{endpoint} is UNPROTECTED: whoever is on the way can move the robot; on any network but "
+        "your own use tls (see docs/real-network.md)"
+    ]

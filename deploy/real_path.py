@@ -1,0 +1,150 @@
+"""Measure a real path on one machine: robot and edge in two namespaces, a slow cable in between.
+
+For each rate and send buffer a run of its own; prints a table of how old projectors are when they
+are used, and how many the link did not take. As root: `.venv/bin/python -m deploy.real_path`.
+"""
+
+from __future__ import annotations
+
+# isort: off
+import shared.single_thread  # noqa: F401
+
+# isort: on
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from deploy.namespaces import Machine, two_machines
+from shared.cli import EXIT_STANDING, Parser, run
+from shared.errors import LinkError
+from shared.report import versions
+
+_PORT = 7460
+_READY_SECONDS, _STOP_SECONDS = 60.0, 30.0
+
+
+def main() -> int:
+    parser = Parser(prog="deploy.real_path", description=__doc__)
+    parser.add_argument("--rate", nargs="+", default=["100mbit", "300mbit"], help="as tc writes it")
+    parser.add_argument(
+        "--send-buffer",
+        nargs="+",
+        metavar="BYTES",
+        default=["default"],
+        help="of the edge's socket; the kernel doubles it (default: ours)",
+    )
+    parser.add_argument("--duration", type=float, default=10.0, help="[s] (default %(default)s)")
+    parser.add_argument("--controller", default="la", help="(default %(default)s)")
+    arguments = parser.parse_args()
+    # A termination leaves nothing behind either.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    found = versions()
+    print(f"{found['platform']}, {os.cpu_count()} cores, Zenoh {found['eclipse-zenoh']}\n")
+    print("| cable | send buffer | age p50, p99 ms | projectors sent | received | lost |")
+    print("|---|---|---|---|---|---|", flush=True)
+    for rate in arguments.rate:
+        for buffer in arguments.send_buffer:
+            with two_machines(rate=rate) as machines, tempfile.TemporaryDirectory() as folder:
+                flags = [
+                    "--duration",
+                    str(arguments.duration),
+                    "--controller",
+                    arguments.controller,
+                ]
+                settings = "" if buffer == "default" else f"#so_sndbuf={int(buffer)}"
+                row = _trial(machines.robot, machines.edge, Path(folder), settings, flags)
+            print(f"| {rate} | {buffer} | {row} |", flush=True)
+    return EXIT_STANDING
+
+
+def _trial(robot: Machine, edge: Machine, folder: Path, settings: str, flags: list[str]) -> str:
+    """One run; age p50 and p99, and projectors sent, received and lost."""
+    endpoint = f"tcp/{edge.address}:{_PORT}"
+    there, here = folder / "edge", folder / "robot"
+    serving = _start(
+        edge,
+        folder / "edge.txt",
+        "--only",
+        "edge",
+        "--listen",
+        endpoint + settings,
+        "--out",
+        str(there),
+    )
+    try:
+        _wait_for_line(serving, folder / "edge.txt", "READY")
+        moving = _start(
+            robot,
+            folder / "robot.txt",
+            "--only",
+            "robot",
+            "--edge",
+            endpoint,
+            "--push",
+            "none",
+            "--out",
+            str(here),
+            *flags,
+        )
+        try:
+            moving.wait(timeout=_READY_SECONDS + float(flags[1]))
+        finally:
+            _end(moving)
+    finally:
+        _end(serving)
+    try:
+        report, sent = _load(here / "summary.json"), _load(there / "edge.json")
+    except OSError:
+        raise LinkError(f"the robot left no summary: {_last_line(folder / 'robot.txt')}") from None
+    age, down = report["projector_age_ms"], report["link"]["downlink"]
+    fell = " (fell)" if report["fell"] else ""
+    return (
+        f"{age['p50']:.1f}, {age['p99']:.1f}{fell} | {sent['link']['downlink']['sent']} | "
+        f"{down['received']} | {down['lost']}"
+    )
+
+
+def _start(machine: Machine, output: Path, *flags: str) -> subprocess.Popen[bytes]:
+    command = machine.command(sys.executable, "-m", "deploy.up", *flags)
+    with output.open("wb") as file:
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT
+        )
+
+
+def _wait_for_line(process: subprocess.Popen[bytes], output: Path, text: str) -> None:
+    deadline = time.monotonic() + _READY_SECONDS
+    while text not in output.read_text(encoding="utf-8", errors="replace"):
+        if process.poll() is not None or time.monotonic() > deadline:
+            raise LinkError(f"the edge did not start: {_last_line(output)}")
+        time.sleep(0.1)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(timeout=_STOP_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _load(path: Path) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return loaded
+
+
+def _last_line(path: Path) -> str:
+    lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+    return next((line for line in reversed(lines) if line.strip()), "it said nothing")
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,64 @@
+"""A router: robots and edges behind NATs dial it, and it carries what each may send to the other.
+
+`python -m deploy.router --listen tls/0.0.0.0:7447 --secure`. It looks at keys, never into messages.
+With certificates it admits the robots whose certificate, robot-NAME.crt, lies in its folder.
+"""
+
+from __future__ import annotations
+
+import os
+
+# The thread that receives waits for one that sends while a queue is full: not the same one, as the
+# nodes have it. Before zenoh is imported.
+os.environ.pop("ZENOH_RUNTIME", None)
+
+# isort: split
+import time
+from pathlib import Path
+
+from shared.bus.security import DEFAULT_FOLDER, ROUTER, Credentials
+from shared.bus.zenoh_bus import ZenohBus
+from shared.cli import EXIT_STANDING, Parser, run
+from shared.service import StopSignal
+from shared.wire.channels import DOWNLINK
+
+_ENDPOINT = "tcp/127.0.0.1:7447"
+_POLL_SECONDS = 0.1
+
+
+def main() -> int:
+    parser = Parser(prog="deploy.router", description=__doc__)
+    parser.add_argument(
+        "--listen", metavar="ENDPOINT", default=_ENDPOINT, help="(default %(default)s)"
+    )
+    parser.add_argument(
+        "--secure",
+        metavar="DIR",
+        nargs="?",
+        type=Path,
+        const=Path(DEFAULT_FOLDER),
+        help="mutual TLS and access control, with the certificates in DIR (default %(const)s)",
+    )
+    arguments = parser.parse_args()
+    credentials = None
+    admits = "everybody"
+    if arguments.secure is not None:
+        credentials = Credentials.load(arguments.secure, ROUTER)
+        admits = ", ".join(credentials.robots) or "no robot: put their certificates into its folder"
+    stop = StopSignal()
+    bus = ZenohBus(
+        listen=[arguments.listen],
+        mode="router",
+        largest=DOWNLINK.max_bytes,
+        credentials=credentials,
+    )
+    print(f"READY {arguments.listen}, admits {admits}", flush=True)
+    while not stop.requested:
+        time.sleep(_POLL_SECONDS)
+    bus.close()
+    print("stopped", flush=True)
+    return EXIT_STANDING
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,182 @@
+"""What the link can carry over time, and the byte queue that it makes: `capacity:factory/001`.
+
+A recorded delay is the delay of the load that it was recorded with. During a blockage the link
+still carries a few bytes per millisecond and the queue fills, so that a controller which sends less
+waits less. Here the profile gives the capacity, and every message takes its place in a queue,
+
+    D_k = min { t : S(t) ≥ S(max(t_k, D_k−1)) + B_k },     delay_k = D_k − t_k + base,
+
+with S(t) the bytes that the link can have carried up to t, t_k and B_k when message k was sent and
+its bytes. The queue holds a limited number of bytes; a message that finds no room is lost
+(drop-tail).
+
+A profile may give its capacity in the columns `uplink_capacity_bytes` and
+`downlink_capacity_bytes`. Otherwise it is found from the recorded delays: while messages wait, each
+one's bytes are what the link carried between the departure of the one before and its own. Where in
+that time, the physical layer's delivered bytes say if the profile has them; else at its end. While
+nothing waits the link carries more than was asked of it, and by how much is not known: it counts as
+`_IDLE_FACTOR` times the load. A load far above the recorded one is not to be trusted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from netem.profile import DIRECTIONS, LOST, DelayProfile, Source, start_offset_ns
+from shared.errors import ProfileError
+
+# An idle link carries that many times the recorded load: a message's own bytes then take little of
+# the base delay that was recorded for it.
+_IDLE_FACTOR = 10.0
+# The part of a message that arrives with its last byte at the earliest: what was delivered before
+# is held back until the block that is missing has come again.
+_LAST = 0.01
+_DELIVERED = ("delivered_ul_bytes", "delivered_dl_bytes")
+# How ns-3 profiles call the size of a message.
+_SIZES = (("uplink_bytes", "ulB"), ("downlink_bytes", "dlB"))
+
+
+@dataclass(frozen=True)
+class CapacityProfile:
+    """Bytes that the link can carry in each period, each way.
+
+    `capacity` (2, n) [bytes per `period_ns`], uplink then downlink; `base_ns` (2,) the delay of a
+    message that finds the link idle. It repeats when it ends.
+    """
+
+    name: str
+    capacity: np.ndarray
+    base_ns: np.ndarray
+    period_ns: int
+    metadata: Mapping[str, Any]
+
+    @property
+    def duration_ns(self) -> int:
+        """Length of one pass [ns]."""
+        return self.capacity.shape[1] * self.period_ns
+
+    def start_offset_ns(self, seed: int) -> int:
+        """Where in the profile a run of this seed begins: as in the profile of its delays."""
+        return start_offset_ns(seed, self.capacity.shape[1], self.period_ns)
+
+    @property
+    def nominal_round_trip_ns(self) -> int:
+        """Of a message that finds the link idle [ns]."""
+        return int(self.base_ns.sum())
+
+    def source(self, direction: int, *, queue_bytes: int) -> Source:
+        """The delay of each message of one direction; it remembers what waits."""
+        return _Queue(self, direction, queue_bytes).delay_ns
+
+    @cached_property
+    def carried(self) -> np.ndarray:
+        """S at the beginning of each period and at the end of the last, (2, n + 1) [bytes]."""
+        return np.concatenate([np.zeros((2, 1)), np.cumsum(self.capacity, axis=1)], axis=1)
+
+
+class _Queue:
+    """First in, first out, in bytes. Times are counted from the beginning of the profile."""
+
+    def __init__(self, profile: CapacityProfile, direction: int, queue_bytes: int) -> None:
+        self._carried = profile.carried[direction]
+        self._period_ns = profile.period_ns
+        self._duration_ns = profile.duration_ns
+        self._base_ns = int(profile.base_ns[direction])
+        self._queue_bytes = queue_bytes
+        self._left_ns = 0.0
+
+    def delay_ns(self, elapsed_ns: int, size: int) -> int:
+        """Delay of a message of `size` bytes sent at `elapsed_ns`; `LOST` if the queue is full."""
+        begun_ns = max(float(elapsed_ns), self._left_ns)
+        served = self._served(begun_ns)
+        if served - self._served(float(elapsed_ns)) + size > self._queue_bytes:
+            return LOST
+        self._left_ns = max(begun_ns, self._when(served + size))
+        return round(self._left_ns - elapsed_ns) + self._base_ns
+
+    def _served(self, time_ns: float) -> float:
+        """S(t) [bytes]."""
+        passes, within_ns = divmod(time_ns, self._duration_ns)
+        index, part = divmod(within_ns / self._period_ns, 1.0)
+        k = min(int(index), len(self._carried) - 2)
+        below, above = self._carried[k], self._carried[k + 1]
+        return float(passes * self._carried[-1] + below + part * (above - below))
+
+    def _when(self, served: float) -> float:
+        """The first time by which S is so much [ns]."""
+        passes, within = divmod(served, float(self._carried[-1]))
+        if within == 0.0 and passes > 0:  # the end of a pass, not the idle time after it
+            passes, within = passes - 1, float(self._carried[-1])
+        k = int(np.searchsorted(self._carried, within))
+        below, above = self._carried[max(k - 1, 0)], self._carried[k]
+        part = (within - below) / (above - below) if above > below else 0.0
+        return passes * self._duration_ns + (max(k - 1, 0) + part) * self._period_ns
+
+
+def capacity_of(profile: DelayProfile) -> CapacityProfile:
+    """The capacity behind a profile; see the module. `ProfileError` if it cannot be found."""
+    # What its own bytes take on an idle link is part of a recorded message's base delay.
+    own_ns = profile.period_ns / _IDLE_FACTOR
+    base_ns = np.array([max(0, _base_ns(way) - own_ns) for way in profile.delays_ns], dtype=int)
+    capacity = np.stack([_of_way(profile, way) for way in range(len(DIRECTIONS))])
+    for name, carried in zip(DIRECTIONS, capacity.sum(axis=1), strict=True):
+        if carried <= 0.0:
+            raise ProfileError(f"profile {profile.name}: its {name} carries nothing at all")
+    return CapacityProfile(
+        f"capacity:{profile.name}", capacity, base_ns, profile.period_ns, profile.metadata
+    )
+
+
+def _base_ns(delays_ns: np.ndarray) -> int:
+    """Delay on an idle link: few are below it, by a whim of the schedule."""
+    return int(np.quantile(delays_ns[delays_ns != LOST], 0.1, method="lower"))
+
+
+def _of_way(profile: DelayProfile, way: int) -> np.ndarray:
+    """Bytes per period (n,) of one way."""
+    given = profile.columns.get(f"{DIRECTIONS[way]}_capacity_bytes")
+    if given is not None:
+        # The idle link, where no bytes were asked of it, is as good as it ever was.
+        return np.where(np.isfinite(given), given, np.nanmax(given)).astype(float)
+    size = next((profile.metadata[key] for key in _SIZES[way] if key in profile.metadata), None)
+    if not isinstance(size, int | float) or not size > 0:
+        raise ProfileError(
+            f"profile {profile.name}: expected {DIRECTIONS[way]}_capacity_bytes, or how many bytes "
+            f"the recorded messages had ({_SIZES[way][0]} in its metadata); it has neither"
+        )
+    delivered = profile.columns.get(_DELIVERED[way])
+    return _behind(profile.delays_ns[way], float(size), delivered, profile.period_ns)
+
+
+def _behind(
+    delays_ns: np.ndarray, size: float, delivered: np.ndarray | None, period_ns: int
+) -> np.ndarray:
+    """The capacity (n,) [bytes per period] behind the delays of messages of `size` bytes."""
+    n = len(delays_ns)
+    sent = np.arange(n, dtype=float)
+    passed = np.flatnonzero(delays_ns != LOST)
+    waited = np.maximum(0, delays_ns[passed] - _base_ns(delays_ns)) / period_ns
+    left = np.maximum.accumulate(sent[passed] + waited)
+    weights = np.ones(n) if delivered is None else delivered.astype(float)
+    capacity, busy = np.zeros(n), np.zeros(n)
+    before = -1.0
+    for k, end in zip(passed, left, strict=True):
+        begin = max(float(k), before)
+        before = end
+        periods = np.arange(int(begin), min(int(np.ceil(end)), n))
+        if len(periods) == 0:
+            continue
+        overlap = np.minimum(periods + 1, end) - np.maximum(periods, begin)
+        busy[periods] += overlap
+        if end > n:  # it leaves after the end of the profile: how much of it before is not known
+            continue
+        share = overlap * weights[periods]
+        early = 0.0 if delivered is None or share.sum() <= 0.0 else 1.0 - _LAST
+        capacity[periods] += early * size * share / max(share.sum(), 1e-9)
+        capacity[periods[-1]] += (1.0 - early) * size
+    return capacity + np.maximum(0.0, 1.0 - busy) * _IDLE_FACTOR * size

@@ -1,0 +1,168 @@
+"""`convert`: a measurement in a foreign format, or a profile, as a profile."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from netem.importers.both_ways import files_by_way, read_both_ways
+from netem.importers.formats import FORMATS, PROFILE, Format, format_named, format_of
+from netem.importers.measured import Measured, with_one_clock
+from netem.importers.ns3_phy import NOTE, read_phy
+from netem.importers.options import (
+    Options,
+    parse_columns,
+    parse_fraction,
+    parse_load,
+    parse_period_ns,
+    parse_size,
+    per_way,
+)
+from netem.importers.resample import to_profile
+from netem.profile import DIRECTIONS, LOST, DelayProfile
+from netem.profile_file import read_profile, write_profile
+from netem.statistics import delays_ms
+from shared.cli import EXIT_STANDING
+from shared.errors import ConfigError, ProfileError
+from shared.quantities import parse_duration_ns
+
+# Each flag's name, the field of `Options` that it sets, how it is written and what it is.
+_FLAGS: tuple[tuple[str, str, Callable[[str], Any], str, str], ...] = (
+    ("period", "period_ns", parse_period_ns, "1ms", "of the profile"),
+    ("interval", "interval_ns", parse_duration_ns, "10ms", "between pings (default 1s)"),
+    ("columns", "columns", parse_columns, "sent=t(s),delay=d(ms)", "of a table"),
+    ("unit", "unit", str, "ms", "of a table's columns that do not name theirs: s, ms, us, ns"),
+    ("clock", "clock", str, "offset", "two clocks: offset (shortest delays equal) or half (of the "
+     "round trip each way)"),
+    ("rnti", "rnti", int, "N", "the terminal, in ns-3's files of several"),
+    ("phy", "phy", Path, "FILE", "RxPacketTrace.txt of the same run: capacity"),
+    ("robot", "robot", str, "ADDRESS", "the robot's IP address in captures"),
+    ("load", "load", lambda t: per_way(t, parse_load), "1000B@1kHz/40000B@1kHz",
+     "uplink/downlink traffic to put through a trace of capacity"),
+    ("base-delay", "base_delay_ns", lambda t: per_way(t, parse_duration_ns), "2ms",
+     "beside the queue, of a trace of capacity (default none)"),
+    ("queue", "queue_bytes", parse_size, "20MiB", "its length (default 20MiB)"),
+    ("delay", "delay_ns", lambda t: per_way(t, parse_duration_ns), "10ms", "mean of a netem table"),
+    ("jitter", "jitter_ns", lambda t: per_way(t, parse_duration_ns), "2ms", "its deviation"),
+    ("correlation", "correlation", parse_fraction, "25%", "of one delay with the next"),
+    ("duration", "duration_ns", parse_duration_ns, "60s", "how much to draw or to compute"),
+    ("seed", "seed", int, "0", "of what is drawn"),
+)  # fmt: skip
+
+
+def add_convert_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `convert`."""
+    parser.usage = "%(prog)s IN [IN2] OUT [options]"
+    parser.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="one file of both ways, or uplink then downlink, or the captures on the robot's side "
+        "and on the edge's; last the profile to write (.npz or .csv)",
+    )
+    parser.add_argument(
+        "--format", help=f"{', '.join(each.name for each in FORMATS)} (default: by content)"
+    )
+    parser.add_argument("--uplink", type=Path, metavar="FILE", help="file of the uplink")
+    parser.add_argument("--downlink", type=Path, metavar="FILE", help="file of the downlink")
+    parser.add_argument(
+        "--other-way",
+        metavar="same|constant:5ms",
+        help="the way that the file says nothing of",
+    )
+    for flag, field, _, example, told in _FLAGS:
+        parser.add_argument(f"--{flag}", dest=field, metavar=example, help=told)
+
+
+def run_convert(arguments: argparse.Namespace) -> int:
+    """Write the profile and say what was assumed; 0."""
+    *inputs, out = arguments.files
+    if out.suffix not in (".npz", ".csv"):
+        raise ProfileError(f"convert: expected the profile to write last, .npz or .csv, got {out}")
+    options = _options(arguments)
+    files = files_by_way(inputs, arguments.uplink, arguments.downlink)
+    formats = [
+        format_named(arguments.format) if arguments.format else format_of(file, options)
+        for file in files.values()
+    ]
+    name = ", ".join(str(file) for file in files.values())
+    _refuse_flags(arguments, formats, name)
+    if PROFILE in formats:
+        if len(formats) > 1 or arguments.other_way:
+            raise ProfileError(f"{name}: expected a profile alone: it holds both ways")
+        profile = read_profile(next(iter(files.values())))
+    else:
+        measured, constant_ns = read_both_ways(files, formats, arguments.other_way, options)
+        measured = with_one_clock(measured, clock=options.clock, name=name)
+        profile = to_profile(
+            _with_capacity(measured, options),
+            name=name,
+            period_ns=options.period_ns,
+            constant_ns=constant_ns,
+        )
+        source = [file.name for file in files.values()]
+        origin = {"source": source[0] if len(source) == 1 else source, "format": formats[0].name}
+        profile = replace(profile, name=out.stem, metadata={**origin, **profile.metadata})
+    write_profile(profile, out)
+    _print(profile, out, formats)
+    return EXIT_STANDING
+
+
+def _options(arguments: argparse.Namespace) -> Options:
+    given = {}
+    for flag, field, parse, example, _ in _FLAGS:
+        text = getattr(arguments, field)
+        if text is not None:
+            try:
+                given[field] = parse(text)
+            except ValueError:
+                raise ConfigError(f"--{flag}: expected {example}, got {text!r}") from None
+            except ConfigError as error:
+                raise ConfigError(f"--{flag}: {error}") from None
+    options = Options(**given)
+    if options.clock not in (None, "offset", "half"):
+        raise ConfigError(f"--clock: expected offset or half, got {options.clock!r}")
+    if options.seed < 0:
+        raise ConfigError(f"--seed: expected none below 0, got {options.seed}")
+    return options
+
+
+def _refuse_flags(arguments: argparse.Namespace, formats: list[Format], name: str) -> None:
+    """A flag that none of the formats takes is a mistake, and not passed over."""
+    for flag, field, *_ in _FLAGS:
+        key = flag.replace("-", "_")
+        if getattr(arguments, field) is not None and not any(key in f.options for f in formats):
+            takers = ", ".join(each.name for each in FORMATS if key in each.options)
+            raise ConfigError(f"--{flag}: only {takers} takes it, but {name} is {formats[0].name}")
+
+
+def _with_capacity(measured: Measured, options: Options) -> Measured:
+    if options.phy is None:
+        return measured
+    series = {**measured.series, **read_phy(options.phy, options)}
+    notes = (*measured.notes, f"{options.phy.name}: {NOTE}")
+    return replace(measured, series=series, notes=notes)
+
+
+def _print(profile: DelayProfile, out: Path, formats: list[Format]) -> None:
+    n = profile.delays_ns.shape[1]
+    print(f"{out}: {n} periods of {profile.period_ns / 1000:g} µs, from {formats[0].name}")
+    for direction, name in enumerate(DIRECTIONS):
+        delays = delays_ms(profile, name)
+        passed = delays[np.isfinite(delays)]
+        lost = float((profile.delays_ns[direction] == LOST).mean())
+        print(
+            f"  {name}: shortest {passed.min():.3f}, median {np.median(passed):.3f}, longest "
+            f"{passed.max():.3f} ms; {100 * lost:.2f} % lost"
+        )
+    if profile.columns:
+        print(f"  columns: {', '.join(profile.columns)}")
+    notes = profile.metadata.get("notes", []) if PROFILE not in formats else []
+    for note in notes:
+        print(f"  {note}")

@@ -1,0 +1,1 @@
+"""Foreign measurements of a link as delay profiles; `docs/importers.md` lists the formats."""

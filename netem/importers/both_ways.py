@@ -1,0 +1,136 @@
+"""The files of both ways of a link, read together; or one, and what is said of the other way."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from netem.importers.captures import read_captures
+from netem.importers.formats import PCAP, Format
+from netem.importers.measured import Measured
+from netem.importers.options import Options
+from netem.profile import DIRECTIONS, DOWNLINK, UPLINK
+from shared.errors import ConfigError, ProfileError
+from shared.quantities import parse_duration_ns
+
+# As in UlPdcpStats.txt, NrDlPdcpRxStats.txt, downlink.csv or LTE-driving.up.
+_WAY = re.compile(
+    r"(?:^|[^A-Za-z])(?:Nr)?([Uu][LlPp]|[Dd][Ll]|[Dd][Oo][Ww][Nn])(?=(?i:link|stream)|[^a-z]|$)"
+)
+
+
+def files_by_way(
+    inputs: list[Path], uplink: Path | None, downlink: Path | None
+) -> dict[int | None, Path]:
+    """The files by direction; None for one that may be of either."""
+    named: dict[int | None, Path] = {}
+    for direction, path in ((UPLINK, uplink), (DOWNLINK, downlink)):
+        if path is not None:
+            named[direction] = path
+    if named and inputs:
+        raise ProfileError("convert: expected files either in order or by --uplink and --downlink")
+    if named:
+        return named
+    if len(inputs) not in (1, 2):
+        raise ProfileError(f"convert: expected IN [IN2] OUT, got {len(inputs)} files to read")
+    ways = [_way_in_name(path) for path in inputs]
+    if len(inputs) == 2:
+        if ways[0] == DOWNLINK or ways[1] == UPLINK:
+            raise ProfileError(
+                f"convert: expected the uplink first, got {inputs[0]} and {inputs[1]}; or say "
+                "--uplink and --downlink"
+            )
+        return {UPLINK: inputs[0], DOWNLINK: inputs[1]}
+    return {ways[0]: inputs[0]}
+
+
+def _way_in_name(path: Path) -> int | None:
+    """The direction that a file's name tells."""
+    match = _WAY.search(path.name)
+    if match is None:
+        return None
+    return UPLINK if match[1].lower().startswith("u") else DOWNLINK
+
+
+def read_both_ways(
+    files: dict[int | None, Path], formats: list[Format], other_way: str | None, options: Options
+) -> tuple[Measured, int | None]:
+    """What the files say of both ways, and the delay of a way that no file has [ns]."""
+    paths = list(files.values())
+    if PCAP in formats:
+        if len(paths) != 2 or formats[0] != formats[1]:
+            raise ProfileError(
+                f"{paths[0]}: a capture: expected two, on the robot's side and on the edge's"
+            )
+        measured = read_captures(paths[0], paths[1], options)
+    else:
+        parts = []
+        for (direction, path), each in zip(files.items(), formats, strict=True):
+            assert each.read is not None
+            parts.append(each.read(path, options, UPLINK if direction is None else direction))
+        if len(parts) == 2:
+            for path, part in zip(paths, parts, strict=True):
+                if None not in part.ways:
+                    raise ProfileError(f"{path}: expected it alone: it holds both ways")
+            _expect_none(other_way)
+            return _together(parts[0], parts[1]), None
+        measured = parts[0]
+    if None not in measured.ways:
+        _expect_none(other_way)
+        return measured, None
+    return _completed(measured, files, formats[0], other_way, options)
+
+
+def _completed(
+    measured: Measured,
+    files: dict[int | None, Path],
+    each: Format,
+    other_way: str | None,
+    options: Options,
+) -> tuple[Measured, int | None]:
+    """With the way that is missing."""
+    path = next(iter(files.values()))
+    known = UPLINK if measured.ways[DOWNLINK] is None else DOWNLINK
+    if other_way is None and not each.either_way:
+        raise ProfileError(
+            f"{path}: one way only; give the other one's file too (--uplink FILE --downlink FILE), "
+            "or --other-way same or --other-way constant:5ms"
+        )
+    if other_way in (None, "same"):
+        note = f"{DIRECTIONS[1 - known]}: from the same file as the {DIRECTIONS[known]}"
+        if each.read is None:
+            same = measured.ways[known]
+            return replace(measured, ways=(same, same), notes=(*measured.notes, note)), None
+        other = each.read(path, options, 1 - known)
+        return _together(measured, replace(other, notes=(*other.notes, note))), None
+    kind, _, text = (other_way or "").partition(":")
+    if kind != "constant":
+        raise ConfigError(f"--other-way: expected same or constant:5ms, got {other_way!r}")
+    if None in files:
+        raise ProfileError(
+            f"{path}: expected to be told which way it is: --uplink {path.name} or "
+            f"--downlink {path.name}"
+        )
+    try:
+        constant_ns = parse_duration_ns(text)
+    except ConfigError as error:
+        raise ConfigError(f"--other-way: {error}") from None
+    note = f"{DIRECTIONS[1 - known]}: not measured, {constant_ns * 1e-6:g} ms throughout"
+    return replace(measured, notes=(*measured.notes, note)), constant_ns
+
+
+def _expect_none(other_way: str | None) -> None:
+    if other_way is not None:
+        raise ConfigError("--other-way: expected only where one way is missing; both are there")
+
+
+def _together(first: Measured, second: Measured) -> Measured:
+    up, down = (a or b for a, b in zip(first.ways, second.ways, strict=True))
+    return Measured(
+        (up, down),
+        tuple(dict.fromkeys(first.notes + second.notes)),
+        {**first.metadata, **second.metadata},
+        {**first.series, **second.series},
+        first.two_clocks or second.two_clocks,
+    )

@@ -1,0 +1,175 @@
+"""One-way delays from two captures of the same packets, one at either end of the link.
+
+A packet is known again by its addresses, protocol, IP identification, fragment offset and the start
+of its payload; packets that have all this in common are taken in order, and identifications are
+used again after a while, so that two captures of one packet may be 30 s apart. A datagram has
+arrived with its last fragment and is lost if any of them is. Addresses must be the same at both
+ends: a translation of addresses between them hides every packet.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from netem.importers.measured import (
+    Measured,
+    Way,
+    ordered,
+    unfinished_note,
+    without_unfinished,
+)
+from netem.importers.options import Options
+from netem.importers.pcap import Packet, packets
+from netem.profile import DIRECTIONS, DOWNLINK, UPLINK
+from shared.errors import ConfigError, ProfileError
+
+_APART_NS = 30_000_000_000
+_SAME_DATAGRAM_NS = 1_000_000_000
+_MAX_PACKETS = 5_000_000
+_UDP, _UDP_HEADER = 17, 8
+_Flow = tuple[bytes, bytes]
+
+
+@dataclass
+class _Datagram:
+    """A datagram at its sender; it arrives with the last of its fragments, if none is lost."""
+
+    sent_ns: int
+    arrived_ns: int
+    lost: bool
+    payload_bytes: int
+    last: bool
+
+
+def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measured:
+    """Both ways, or the one of which both captures have packets."""
+    near, far = _read(robot_side), _read(edge_side)
+    near_partner, far_partner = _matched(near, far)
+    shifts: dict[_Flow, list[int]] = defaultdict(list)
+    for packet, partner in zip(near, near_partner, strict=True):
+        if partner is not None:
+            shifts[packet.flow].append(partner.time_ns - packet.time_ns)
+    if not shifts:
+        raise ProfileError(
+            f"{robot_side}, {edge_side}: expected the same packets in both, at most 30 s apart, "
+            f"found none in {len(near)} and {len(far)}"
+        )
+    directions = _directions(shifts, options.robot, f"{robot_side}, {edge_side}")
+    ways: list[Way | None] = [None, None]
+    notes: list[str] = []
+    for direction, sender, partners, receiver in (
+        (UPLINK, near, near_partner, far),
+        (DOWNLINK, far, far_partner, near),
+    ):
+        flows = {flow for flow, way in directions.items() if way == direction}
+        if flows:
+            ways[direction], unfinished = _way(sender, partners, flows, receiver[-1].time_ns)
+            notes += unfinished_note(unfinished)
+    told = {DIRECTIONS[way]: _told(directions, way) for way in (UPLINK, DOWNLINK)}
+    return Measured((ways[0], ways[1]), tuple(notes), {"flows": told}, two_clocks=True)
+
+
+def _read(path: Path) -> list[Packet]:
+    read = []
+    for packet in packets(path):
+        read.append(packet)
+        if len(read) > _MAX_PACKETS:
+            raise ProfileError(
+                f"{path}: expected at most {_MAX_PACKETS} IP packets; editcap -i 60 cuts it up"
+            )
+    if not read:
+        raise ProfileError(f"{path}: expected IP packets, found none")
+    return read
+
+
+def _matched(
+    near: list[Packet], far: list[Packet]
+) -> tuple[list[Packet | None], list[Packet | None]]:
+    """For each packet of either capture the same packet in the other one."""
+    of_near: list[Packet | None] = [None] * len(near)
+    of_far: list[Packet | None] = [None] * len(far)
+    waiting: dict[bytes, list[int]] = defaultdict(list)
+    for index, packet in enumerate(far):
+        waiting[packet.key].append(index)
+    used: Counter[bytes] = Counter()
+    for index, packet in enumerate(near):
+        candidates = waiting.get(packet.key, [])
+        k = used[packet.key]
+        while k < len(candidates) and far[candidates[k]].time_ns < packet.time_ns - _APART_NS:
+            k += 1
+        if k < len(candidates) and far[candidates[k]].time_ns <= packet.time_ns + _APART_NS:
+            of_near[index], of_far[candidates[k]] = far[candidates[k]], packet
+            k += 1
+        used[packet.key] = k
+    return of_near, of_far
+
+
+def _directions(shifts: dict[_Flow, list[int]], robot: str | None, files: str) -> dict[_Flow, int]:
+    """Which way each flow goes: by the robot's address, or by where it was seen first."""
+    if robot is not None:
+        try:
+            address = ipaddress.ip_address(robot).packed
+        except ValueError:
+            raise ConfigError(f"robot: expected its IP address, got {robot!r}") from None
+        flows = {flow: flow[0] == address for flow in shifts if address in flow}
+        if not flows:
+            raise ProfileError(f"{files}: expected packets of {robot} in both, found none")
+        return {flow: UPLINK if up else DOWNLINK for flow, up in flows.items()}
+    directions = {
+        flow: UPLINK if np.median(shift) >= 0 else DOWNLINK for flow, shift in shifts.items()
+    }
+    for (source, destination), way in directions.items():
+        if directions.get((destination, source)) == way and source != destination:
+            raise ProfileError(
+                f"{files}: packets and their answers both seem to go {DIRECTIONS[way]}: the clocks "
+                "of the two ends differ; give --robot ADDRESS and --clock offset"
+            )
+    return directions
+
+
+def _way(
+    sender: list[Packet], partners: list[Packet | None], flows: set[_Flow], end_ns: int
+) -> tuple[Way, int]:
+    datagrams: list[_Datagram] = []
+    open_ones: dict[bytes, _Datagram] = {}
+    for packet, partner in zip(sender, partners, strict=True):
+        if packet.flow not in flows:
+            continue
+        arrived_ns = packet.time_ns if partner is None else partner.time_ns
+        size, lost = packet.payload_bytes, partner is None
+        one = open_ones.get(packet.datagram)
+        if one is None or packet.time_ns - one.sent_ns > _SAME_DATAGRAM_NS:
+            size -= _UDP_HEADER if packet.protocol == _UDP else 0
+            one = _Datagram(packet.time_ns, arrived_ns, lost, size, packet.last)
+            datagrams.append(one)
+            open_ones[packet.datagram] = one
+        else:
+            one.arrived_ns = max(one.arrived_ns, arrived_ns)
+            one.lost |= lost
+            one.payload_bytes += size
+            one.last |= packet.last
+        if packet.last:
+            open_ones.pop(packet.datagram, None)
+    # Cut off by the capture's end: nobody knows the rest of it.
+    known = [one for one in datagrams if one.last]
+    # What was sent before the other capture began was not lost.
+    first = next((k for k, one in enumerate(known) if not one.lost), 0)
+    known = known[first:]
+    way = ordered(
+        [one.sent_ns for one in known],
+        [one.arrived_ns - one.sent_ns for one in known],
+        [one.lost for one in known],
+        message_bytes=int(np.median([one.payload_bytes for one in known])) if known else None,
+    )
+    return without_unfinished(way, end_ns)
+
+
+def _told(directions: dict[_Flow, int], way: int) -> list[str]:
+    """The first flows of a way, as `10.0.0.1 > 10.0.0.2`."""
+    flows = [flow for flow, direction in directions.items() if direction == way]
+    return [" > ".join(str(ipaddress.ip_address(end)) for end in flow) for flow in flows[:8]]

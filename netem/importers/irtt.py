@@ -1,0 +1,162 @@
+"""What `irtt client -o FILE.json` writes: round trips, and one-way delays by the ends' clocks [ns].
+
+`lost` is a string, "false", "true", "true_up" or "true_down" (a truth value in some versions), and
+a delay that is not known has no key. A packet lost on the way up was never sent down; of one lost
+on the way down, the delay up is not known.
+"""
+
+from __future__ import annotations
+
+import json
+from array import array
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from netem.importers.measured import Measured, Way, halved, ordered
+from netem.importers.options import Options
+from netem.importers.source import decoded, opened, wrong
+from shared.errors import ProfileError
+
+_MAX_BYTES = 1 << 29
+_MAX_NS = 2**61
+_LOST = ("false", "true", "true_up", "true_down")
+HALF_NOTE = "round trips: half of each taken for either way"
+
+
+def is_irtt(start: str) -> bool:
+    """Whether a file that begins so is irtt's."""
+    return start.lstrip("\ufeff \r\n\t").startswith("{") and (
+        '"irtt"' in start or '"round_trips"' in start
+    )
+
+
+def read_irtt(path: Path, options: Options, direction: int) -> Measured:
+    """Both ways; `ProfileError` with the round trip that is wrong."""
+    document = _document(path)
+    trips = document.get("round_trips") if isinstance(document, dict) else None
+    if not isinstance(trips, list) or not trips:
+        raise ProfileError(f"{path}: expected irtt's JSON with a list of round_trips, found none")
+    parameters = _at(document, "config", "params")
+    interval, length = (_at(parameters, key) for key in ("interval", "length"))
+    traffic: dict[str, Any] = {
+        "rate_hz": 1e9 / interval if _is_time(interval) and interval > 0 else None,
+        "message_bytes": length if _is_time(length) else None,
+    }
+    rows = [_row(path, k, trip) for k, trip in enumerate(trips)]
+    sent = _sending_times(path, rows, interval)
+    lost = np.array([row["lost"] for row in rows])
+    nowhere = "a packet lost no one knows where counts as lost on both ways"
+    notes = (nowhere,) if (lost == "true").any() else ()
+    one_way = all(row["lost"] != "false" or row["send"] is not None for row in rows)
+    if one_way and options.clock != "half":
+        ways = _ways(rows, sent, traffic)
+        return Measured(ways, notes, {"split": "one-way"}, two_clocks=True)
+    _need_round_trips(path, rows)
+    trip = np.array([row["rtt"] or 0 for row in rows])
+    # Each half without the packets of which nothing is known there.
+    up, _ = _halved(lost != "true_down", sent, trip, lost, traffic)
+    _, down = _halved(lost != "true_up", sent, trip, lost, traffic)
+    return Measured((up, down), (HALF_NOTE, *notes), {"split": "half"})
+
+
+def _halved(
+    known: np.ndarray,
+    sent: np.ndarray,
+    trip: np.ndarray,
+    lost: np.ndarray,
+    traffic: dict[str, Any],
+) -> tuple[Way, Way]:
+    return halved(sent[known], trip[known], lost[known] != "false", **traffic)
+
+
+def _ways(rows: list[dict[str, Any]], sent: np.ndarray, traffic: dict[str, Any]) -> tuple[Way, Way]:
+    passed = [k for k, row in enumerate(rows) if row["lost"] == "false"]
+    # Of a packet that was lost nobody noted when it turned round: as the others did, in the median.
+    usual = int(np.median([rows[k]["send"] for k in passed])) if passed else 0
+    up, down = (array("q"), array("q"), array("b")), (array("q"), array("q"), array("b"))
+    for row, at in zip(rows, sent.tolist(), strict=True):
+        if row["lost"] in ("false", "true", "true_up"):
+            _append(up, at, row["send"], row["lost"])
+        if row["lost"] == "false":
+            # By the server's clock, as `with_one_clock` expects.
+            _append(down, at + row["send"], row["receive"], "false")
+        elif row["lost"] in ("true", "true_down"):
+            _append(down, at + usual, None, row["lost"])
+    return ordered(*up, **traffic), ordered(*down, **traffic)
+
+
+def _append(way: tuple[array[int], ...], sent: int, delay: int | None, lost: str) -> None:
+    way[0].append(sent)
+    way[1].append(delay or 0)
+    way[2].append(lost != "false")
+
+
+def _document(path: Path) -> Any:
+    with opened(path) as file:
+        data = file.read(_MAX_BYTES + 1)
+    if len(data) > _MAX_BYTES:
+        raise ProfileError(f"{path}: expected at most {_MAX_BYTES >> 20} MiB of JSON")
+    try:
+        return json.loads(decoded(data))
+    except json.JSONDecodeError as error:
+        raise ProfileError(
+            f"{path}, line {error.lineno}: expected whole JSON, as irtt writes it: {error.msg}"
+        ) from None
+    except (ValueError, RecursionError) as error:
+        raise ProfileError(f"{path}: expected JSON as irtt writes it: {error}") from None
+
+
+def _row(path: Path, k: int, trip: Any) -> dict[str, Any]:
+    """`lost`, delays `send`, `receive`, `rtt` and times of sending [ns]; None if unknown."""
+    where = f"round trip {k}"
+    lost = str(_at(trip, "lost")).lower()
+    if lost not in _LOST:
+        raise wrong(path, where, f"lost as one of {', '.join(_LOST)}", _at(trip, "lost"))
+    row: dict[str, Any] = {"lost": lost}
+    for key in ("send", "receive", "rtt"):
+        delay = _at(trip, "delay", key)
+        if delay is not None and (not _is_time(delay) or (key == "rtt" and delay < 0)):
+            raise wrong(path, where, f"a delay {key} in whole ns", delay)
+        row[key] = delay if lost == "false" else None
+    if row["send"] is None or row["receive"] is None:
+        row["send"] = row["receive"] = None
+    for clock in ("monotonic", "wall"):
+        time = _at(trip, "timestamps", "client", "send", clock)
+        if time is not None and not _is_time(time):
+            raise wrong(path, where, "a time of sending in whole ns", time)
+        row[clock] = time
+    row["seqno"] = _at(trip, "seqno")
+    return row
+
+
+def _need_round_trips(path: Path, rows: list[dict[str, Any]]) -> None:
+    for k, row in enumerate(rows):
+        if row["lost"] == "false" and row["rtt"] is None:
+            raise wrong(path, f"round trip {k}", "a delay rtt in whole ns", None)
+
+
+def _sending_times(path: Path, rows: list[dict[str, Any]], interval: Any) -> np.ndarray:
+    """By the client's clock, or else by the numbers and the interval [ns]."""
+    for clock in ("monotonic", "wall"):
+        times = [row[clock] for row in rows]
+        if None not in times:
+            return np.array(times, dtype=np.int64)
+    numbers = [row["seqno"] for row in rows]
+    if not _is_time(interval) or not all(isinstance(n, int) and 0 <= n < 2**32 for n in numbers):
+        raise ProfileError(
+            f"{path}: expected the client's times of sending, or sequence numbers and an interval"
+        )
+    return np.array([n * min(interval, _MAX_NS >> 32) for n in numbers], dtype=np.int64)
+
+
+def _at(value: Any, *keys: str) -> Any:
+    """The value under nested keys, or None."""
+    for key in keys:
+        value = value.get(key) if isinstance(value, dict) else None
+    return value
+
+
+def _is_time(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < _MAX_NS

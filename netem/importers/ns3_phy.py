@@ -1,0 +1,93 @@
+"""The transport blocks that ns-3's physical layer received: `RxPacketTrace.txt`, mmWave and NR.
+
+    DL/UL time frame subF slot 1stSym symbol# cellId rnti ccId tbSize mcs rv SINR(dB) corrupt TBler
+
+Blocks have no delays. Beside delays of the same run they give what the link carried in each
+period, the bytes of the blocks that arrived whole, and the mean SINR. Carried is not could have
+carried: where the sender had nothing to send, the capacity was larger.
+"""
+
+from __future__ import annotations
+
+from array import array
+from pathlib import Path
+
+import numpy as np
+
+from netem.importers.measured import UNITS_NS, Measured, Series
+from netem.importers.options import Options
+from netem.importers.source import content_lines, nanoseconds, number, whole, wrong
+from shared.errors import ProfileError
+
+_WAYS = {"ul": ("uplink", "ul"), "dl": ("downlink", "dl")}
+_NEEDED = ("time", "rnti", "tbsize", "corrupt")
+NOTE = (
+    "capacity: the bytes of the transport blocks that arrived whole; where there was nothing to "
+    "send the link could have carried more"
+)
+
+
+def is_ns3_phy(first_line: str) -> bool:
+    """Whether a file that begins with this line is a trace of transport blocks."""
+    return {"tbsize", "corrupt"} <= set(_names(first_line))
+
+
+def refuse_alone(path: Path, options: Options, direction: int) -> Measured:
+    """`ProfileError`: blocks have no delays."""
+    raise ProfileError(
+        f"{path}: transport blocks of the physical layer, without delays; expected them beside "
+        f"delays, as in UlPdcpStats.txt DlPdcpStats.txt OUT --phy {path.name}"
+    )
+
+
+def read_phy(path: Path, options: Options) -> dict[str, Series]:
+    """Columns `uplink_capacity_bytes`, `sinr_ul_db`, … of the ways that are in the trace."""
+    rows = content_lines(path)
+    line, header = next(rows, (1, ""))
+    names = _names(header)
+    missing = [name for name in _NEEDED if name not in names]
+    if missing or not is_ns3_phy(header):
+        raise wrong(path, f"line {line}", f"a header with {', '.join(_NEEDED)}", header)
+    time_at, rnti_at, size_at, corrupt_at = (names.index(name) for name in _NEEDED)
+    way_at = names.index("direction") if "direction" in names else 0
+    sinr_at = next((k for k, name in enumerate(names) if name.startswith("sinr")), None)
+    times = {way: array("q") for way in _WAYS}
+    sizes = {way: array("d") for way in _WAYS}
+    sinrs = {way: array("d") for way in _WAYS}
+    terminals: set[int] = set()
+    for line, text in rows:
+        where, cells = f"line {line}", text.split()
+        if len(cells) < len(names):
+            raise wrong(path, where, f"{len(names)} columns", text)
+        way = cells[way_at].lower()
+        if way not in _WAYS:
+            raise wrong(path, where, "DL or UL", cells[way_at])
+        rnti = whole(cells[rnti_at], path, where, "an RNTI", low=0, high=65535)
+        if options.rnti not in (None, rnti):
+            continue
+        terminals.add(rnti)
+        if len(terminals) > 1:
+            raise wrong(path, where, "one terminal, or --rnti to choose one", f"RNTI {rnti}")
+        size = whole(cells[size_at], path, where, "a size in bytes", low=0, high=2**31)
+        corrupt = whole(cells[corrupt_at], path, where, "corrupt as 0 or 1", low=0, high=1)
+        times[way].append(nanoseconds(cells[time_at], UNITS_NS["s"], path, where, "a time in s"))
+        sizes[way].append(0 if corrupt else size)
+        if sinr_at is not None:
+            sinrs[way].append(number(cells[sinr_at], path, where, "an SINR in dB"))
+    series = {}
+    for way, (direction, short) in _WAYS.items():
+        if times[way]:
+            time_ns = np.array(times[way], dtype=np.int64)
+            series[f"{direction}_capacity_bytes"] = Series(time_ns, np.array(sizes[way]))
+            if sinrs[way]:
+                series[f"sinr_{short}_db"] = Series(time_ns, np.array(sinrs[way]), mean=True)
+    if not series:
+        raise ProfileError(f"{path}: expected transport blocks, found none")
+    return series
+
+
+def _names(header: str) -> list[str]:
+    """Names of the columns in lower case; older traces leave the first one empty."""
+    names = header.lstrip("\ufeff%").lower().split()
+    unnamed = bool(names) and not ({"dl/ul", "direction"} & set(names))
+    return ["dl/ul", *names] if unnamed else names

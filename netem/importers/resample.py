@@ -1,0 +1,168 @@
+"""Packets, sent when they were, as a profile of equal periods.
+
+A period takes the longest delay of the packets sent in it: of a datagram in fragments the last
+one counts. It is lost only if all of them were. A period in which nothing was sent is interpolated
+between its neighbours along the time of sending. This is exact behind a stall: packets queue, are
+released together, and the one sent 1 ms later waits 1 ms less. The boundaries of the periods lie
+where in the period no packets are sent, so that no burst is parted and rounded times do no harm.
+Both ways share one axis, of the time for which both were measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from netem.importers.measured import Measured, Series, Way
+from netem.profile import DIRECTIONS, LOST, MAX_DELAY_MS, DelayProfile
+from shared.errors import ProfileError
+
+MAX_PERIODS = 10_000_000
+
+
+def to_profile(
+    measured: Measured, *, name: str, period_ns: int, constant_ns: int | None = None
+) -> DelayProfile:
+    """The profile of a measurement; `constant_ns` is the delay of a way that was not measured."""
+    notes = list(measured.notes)
+    for direction, way in zip(DIRECTIONS, measured.ways, strict=True):
+        if way is not None:
+            _check(name, direction, way)
+    ways = _on_one_axis(name, measured, notes)
+    spans = [(int(way.sent_ns[0]), int(way.sent_ns[-1])) for way in ways if way is not None]
+    spans += [(int(s.time_ns.min()), int(s.time_ns.max())) for s in measured.series.values()]
+    begin, end = max(first for first, _ in spans), min(last for _, last in spans)
+    if begin > end:
+        raise ProfileError(f"{name}: expected files of one time, got some that do not overlap")
+    packets = np.concatenate([way.sent_ns for way in ways if way is not None])
+    check_span(name, end - begin, period_ns)
+    start = _start(packets, begin, period_ns)
+    n = (end - start) // period_ns + 1
+    if end - begin < 0.99 * max(last - first for first, last in spans):
+        notes.append(f"the {(end - begin) * 1e-9:.3f} s kept that all files cover")
+    delays = [
+        np.full(n, LOST if constant_ns is None else constant_ns)
+        if way is None
+        else _resampled(way, start, n, period_ns)
+        for way in ways
+    ]
+    for direction, way in zip(DIRECTIONS, ways, strict=True):
+        if way is not None:
+            empty = 1 - len(np.unique(_periods(way, start, n, period_ns))) / n
+            if empty > 0.01:
+                notes.append(f"{direction}: {100 * empty:.1f} % of the periods interpolated")
+    for direction, way_ns in zip(DIRECTIONS, delays, strict=True):
+        if (way_ns == LOST).all():
+            raise ProfileError(f"{name}: every {direction} packet is lost in {n} periods")
+    return DelayProfile(
+        name=name,
+        delays_ns=np.vstack(delays).astype(np.int64),
+        period_ns=period_ns,
+        metadata=_metadata(measured, ways, n, period_ns, notes),
+        columns={k: _binned(s, start, n, period_ns) for k, s in measured.series.items()},
+    )
+
+
+def check_span(name: object, span_ns: int, period_ns: int) -> None:
+    """`ProfileError` if the span has more periods than anyone needs."""
+    if span_ns >= MAX_PERIODS * period_ns:
+        raise ProfileError(
+            f"{name}: {span_ns * 1e-9:.6g} s in periods of {period_ns * 1e-6:g} ms: expected at "
+            f"most {MAX_PERIODS} periods; are the units right? Otherwise try a longer --period"
+        )
+
+
+def _check(name: str, direction: str, way: Way) -> None:
+    passed = way.delay_ns[~way.lost]
+    if not len(passed):
+        raise ProfileError(f"{name}: expected {direction} packets that arrived, found none")
+    if passed.min() < 0 or passed.max() > MAX_DELAY_MS * 1e6:
+        worst = passed.min() if passed.min() < 0 else passed.max()
+        raise ProfileError(
+            f"{name}: {direction} delay of {worst * 1e-9:.6g} s: expected from 0 to "
+            f"{MAX_DELAY_MS / 1000:g} s; are the units right?"
+        )
+
+
+def _on_one_axis(name: str, measured: Measured, notes: list[str]) -> list[Way | None]:
+    """The ways as they are, or both from 0 where they were measured at different times."""
+    up, down = measured.ways
+    if up is None or down is None:
+        return [up, down]
+    apart = up.sent_ns[0] > down.sent_ns[-1] or down.sent_ns[0] > up.sent_ns[-1]
+    if not apart:
+        return [up, down]
+    if measured.series:
+        raise ProfileError(f"{name}: expected both ways of one time, got some that do not overlap")
+    notes.append("the two ways were measured at different times; both are taken from their start")
+    return [replace(way, sent_ns=way.sent_ns - way.sent_ns[0]) for way in (up, down)]
+
+
+def _start(sent_ns: np.ndarray, begin_ns: int, period_ns: int) -> int:
+    """Where the first period begins, at `begin_ns` or up to a period before.
+
+    In the middle of the gap before it if that is about as wide as any gap between the sending
+    times, modulo the period; otherwise in the middle of the widest.
+    """
+    phases = np.unique((sent_ns - begin_ns) % period_ns)
+    gaps = np.diff(phases, append=phases[0] + period_ns)
+    widest = int(np.argmax(gaps))
+    if gaps[-1] >= gaps[widest] / 2:
+        widest = -1
+    boundary = int(phases[widest] + gaps[widest] // 2)
+    return begin_ns - (-boundary) % period_ns
+
+
+def _periods(way: Way, start_ns: int, n: int, period_ns: int) -> np.ndarray:
+    """Which of the `n` periods the packets were sent in."""
+    index = (way.sent_ns - start_ns) // period_ns
+    return index[(index >= 0) & (index < n)]
+
+
+def _resampled(way: Way, start_ns: int, n: int, period_ns: int) -> np.ndarray:
+    """Delay of each of `n` periods [ns], `LOST` where all its packets were lost."""
+    index = (way.sent_ns - start_ns) // period_ns
+    delay = np.where(way.lost, LOST, way.delay_ns)
+    order = np.lexsort((delay, index))
+    index, delay, sent = index[order], delay[order], way.sent_ns[order]
+    longest = np.append(np.diff(index) > 0, True)
+    index, delay, sent = index[longest], delay[longest], sent[longest]
+    passed = delay != LOST
+    centres = start_ns + period_ns * np.arange(n) + period_ns // 2
+    # From the first packet on: nanoseconds since 1970 do not fit a double.
+    origin = sent[0]
+    filled = np.interp(centres - origin, sent[passed] - origin, delay[passed])
+    resampled = np.rint(filled).astype(np.int64)
+    inside = (index >= 0) & (index < n)
+    resampled[index[inside]] = delay[inside]
+    return resampled
+
+
+def _binned(series: Series, start_ns: int, n: int, period_ns: int) -> np.ndarray:
+    index = (series.time_ns - start_ns) // period_ns
+    inside = (index >= 0) & (index < n)
+    total = np.bincount(index[inside], weights=series.values[inside], minlength=n)
+    if not series.mean:
+        return np.rint(total).astype(np.int64)
+    count = np.bincount(index[inside], minlength=n)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _metadata(
+    measured: Measured, ways: list[Way | None], n: int, period_ns: int, notes: list[str]
+) -> dict[str, Any]:
+    known = {d: way for d, way in zip(DIRECTIONS, ways, strict=True) if way is not None}
+    rates = {way.rate_hz for way in known.values() if way.rate_hz is not None}
+    sizes = {d: w.message_bytes for d, w in known.items() if w.message_bytes is not None}
+    return {
+        **measured.metadata,
+        "packets": {direction: len(way.sent_ns) for direction, way in known.items()},
+        "packets_lost": {direction: int(way.lost.sum()) for direction, way in known.items()},
+        "span_s": n * period_ns * 1e-9,
+        "period_us": period_ns / 1000,
+        **{f"{direction}_bytes": size for direction, size in sizes.items()},
+        **({"rate_hz": rates.pop()} if len(rates) == 1 else {}),
+        "notes": notes,
+    }

@@ -1,0 +1,128 @@
+"""Reading files that others wrote: plain or gzipped, line by line, in bounded memory.
+
+Every way in which such a file can be wrong ends in a `ProfileError` of one line that names the
+file, the line (or record) and what was expected of it.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import math
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from shared.errors import ProfileError
+
+MAX_RECORDS = 20_000_000
+_MAX_LINE = 1 << 16
+MAX_NS = 4.6e18  # 62 bits: sums and differences of two still fit 63
+_GZIP = b"\x1f\x8b"
+_BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[io.BufferedReader | gzip.GzipFile]:
+    """The file's bytes, unzipped if it is gzipped."""
+    try:
+        with path.open("rb") as file:
+            if file.peek(2)[:2] == _GZIP:
+                with gzip.GzipFile(fileobj=file) as unzipped:
+                    yield unzipped
+            else:
+                yield file
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise ProfileError(f"{path}: expected a whole gzip file: {error}") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ProfileError(f"{path}: cannot read it: {reason}") from None
+
+
+def head(path: Path, *, size: int) -> bytes:
+    """The first `size` bytes, or fewer at the end of the file or where it is damaged."""
+    with opened(path) as file:
+        data = b""
+        try:
+            while len(data) < size and (chunk := file.read1(size - len(data))):
+                data += chunk
+        except (EOFError, zlib.error):
+            pass  # whoever reads on will find it again, with more to say
+        return data
+
+
+def decoded(data: bytes) -> str:
+    """Text of any encoding that announces itself, else UTF-8; what is none is replaced."""
+    return data.decode(_encoding(data), errors="replace")
+
+
+def lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Number and text of each line, without its end (any of CR LF, LF, CR)."""
+    with opened(path) as file:
+        text = io.TextIOWrapper(file, encoding=_encoding(file.peek(3)), errors="replace")
+        for number in range(1, MAX_RECORDS + 2):
+            line = text.readline(_MAX_LINE)
+            if not line:
+                return
+            if len(line) == _MAX_LINE or number > MAX_RECORDS:
+                raise ProfileError(
+                    f"{path}, line {number}: expected at most {MAX_RECORDS} lines, each shorter "
+                    f"than {_MAX_LINE} characters"
+                )
+            yield number, line.rstrip("\n")
+
+
+def content_lines(path: Path, *, comments: str = "#") -> Iterator[tuple[int, str]]:
+    """The lines that are neither blank nor comments."""
+    return (
+        (n, line) for n, line in lines(path) if line.strip() and line.lstrip()[0] not in comments
+    )
+
+
+def wrong(path: Path, where: str, expected: str, got: object) -> ProfileError:
+    """The error of one place in a file, as `wrong(path, "line 4", "a delay", cell)`."""
+    text = got if isinstance(got, str) else repr(got)
+    shown = text if len(text) <= 60 else text[:60] + "…"
+    return ProfileError(f"{path}, {where}: expected {expected}, got {shown!r}")
+
+
+def number(text: str, path: Path, where: str, what: str) -> float:
+    """A finite number."""
+    try:
+        value = float(text)
+        if not math.isfinite(value) or "_" in text:
+            raise ValueError
+    except ValueError:
+        raise wrong(path, where, what, text) from None
+    return value
+
+
+def whole(text: str, path: Path, where: str, what: str, *, low: int, high: int) -> int:
+    """A whole number from `low` to `high`."""
+    try:
+        value = int(text)
+        if not low <= value <= high or "_" in text:
+            raise ValueError
+    except ValueError:
+        raise wrong(path, where, what, text) from None
+    return value
+
+
+def nanoseconds(text: str, unit_ns: int, path: Path, where: str, what: str) -> int:
+    """A time in units of `unit_ns`, exact where it is a whole number of them."""
+    try:
+        value = int(text) * unit_ns
+    except ValueError:
+        exact = number(text, path, where, what) * unit_ns
+        value = round(exact) if abs(exact) < MAX_NS else int(MAX_NS)
+    if not abs(value) < MAX_NS or "_" in text:
+        raise wrong(path, where, f"{what}, within 146 years (are the units right?)", text)
+    return value
+
+
+def _encoding(start: bytes) -> str:
+    for mark, encoding in _BYTE_ORDER_MARKS.items():
+        if start.startswith(mark):
+            return encoding
+    return "utf-8"

@@ -1,0 +1,62 @@
+"""What `--network` may name: a shipped profile, a file, a constant delay, a capacity."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from netem.capacity import CapacityProfile, capacity_of
+from netem.profile import DelayProfile
+from netem.profile_file import is_file, read_profile
+from shared.errors import ConfigError, ProfileError
+from shared.quantities import parse_duration_ns
+
+SHIPPED = Path(__file__).parent / "profiles"
+
+
+CAPACITY = "capacity:"
+Profile = DelayProfile | CapacityProfile
+
+
+def load_network(network: str) -> Profile:
+    """What messages meet: the delays of a profile or, after `capacity:`, the link behind it."""
+    profile = load_profile(network.removeprefix(CAPACITY))
+    return capacity_of(profile) if network.startswith(CAPACITY) else profile
+
+
+def load_profile(network: str) -> DelayProfile:
+    """A profile by shipped name (`factory/001`), file (.npz or .csv) or `constant:…`."""
+    if network.startswith("constant:"):
+        return constant_profile(network)
+    shipped, path = SHIPPED / f"{network}.npz", Path(network)
+    if is_file(shipped):
+        return read_profile(shipped, name=network)
+    if is_file(path):
+        return read_profile(path)
+    examples = ", ".join(sorted({name.split("/")[0] + "/001" for name in shipped_names()}))
+    raise ProfileError(
+        f"network: expected a shipped profile ({examples}, …), a .npz or .csv file, constant:30ms, "
+        f"capacity: before any of these, or direct, got {network!r}: no such profile or file"
+    )
+
+
+def shipped_names() -> list[str]:
+    """Names of the profiles that come with the project."""
+    return sorted(
+        p.relative_to(SHIPPED).with_suffix("").as_posix() for p in SHIPPED.glob("*/*.npz")
+    )
+
+
+def constant_profile(network: str) -> DelayProfile:
+    """`constant:ROUND_TRIP`, half each way as in the paper's tables, or `constant:UP/DOWN`."""
+    _, _, text = network.partition(":")
+    try:
+        parts = [parse_duration_ns(part) for part in text.split("/")]
+    except ConfigError as error:
+        raise ProfileError(f"network {network!r}: {error}") from None
+    if len(parts) == 1:
+        parts = [parts[0] // 2, parts[0] - parts[0] // 2]
+    if len(parts) != 2:
+        raise ProfileError(f"network {network!r}: expected constant:30ms or constant:10ms/20ms")
+    return DelayProfile(name=network, delays_ns=np.array(parts, dtype=np.int64).reshape(2, 1))

@@ -1,0 +1,1 @@
+"""Measures a real path as a delay profile; `docs/recording.md`."""

@@ -1,0 +1,97 @@
+"""What a recording says: a status line while it runs, and a summary."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from netem.profile import DIRECTIONS, LOST
+from netem.recorder.record_loops import NearLoop
+from netem.recorder.recording import Recorded
+
+_CLEAR_LINE = "\r\033[2K"
+_TERMINAL_SECONDS, _PLAIN_SECONDS = 0.25, 5.0
+
+
+def say(line: str) -> None:
+    """One line of standard output, at once."""
+    print(line, flush=True)
+
+
+class StatusLine:
+    """Time left, delays and losses, from a thread of its own: in place on a terminal, else now and
+    then.
+    """
+
+    def __init__(self, loop: NearLoop, *, seconds: float) -> None:
+        self._loop = loop
+        self._loop.left_seconds = seconds
+        self._live = sys.stdout.isatty()
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="status", daemon=True)
+
+    def __enter__(self) -> StatusLine:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._done.set()
+        self._thread.join(timeout=1.0)
+        if self._live:
+            print(_CLEAR_LINE, end="", flush=True)
+
+    def _watch(self) -> None:
+        start, end = (_CLEAR_LINE, "") if self._live else ("", "\n")
+        while not self._done.wait(_TERMINAL_SECONDS if self._live else _PLAIN_SECONDS):
+            print(f"{start}{self._line()}", end=end, flush=True)
+
+    def _line(self) -> str:
+        now = self._loop.near.progress
+        return (
+            f"{max(0.0, self._loop.left_seconds):5.1f} s left: up {now.uplink_ns * 1e-6:.2f} ms, "
+            f"down {now.downlink_ns * 1e-6:.2f} ms, lost or late {now.uplink_lost} up, "
+            f"{now.downlink_lost} down"
+        )
+
+
+def summary_lines(recorded: Recorded, path: Path) -> Iterator[str]:
+    """What was measured, in words and milliseconds."""
+    profile = recorded.profile
+    for name, delays_ns in zip(DIRECTIONS, profile.delays_ns, strict=True):
+        passed_ms = delays_ns[delays_ns != LOST] * 1e-6
+        p50, p99, longest = np.quantile(passed_ms, [0.5, 0.99, 1.0])
+        lost = np.mean(delays_ns == LOST)
+        yield (
+            f"{name:>9}: p50 {p50:.3f} ms, p99 {p99:.3f} ms, longest {longest:.1f} ms, "
+            f"lost {lost:.2%}"
+        )
+    yield f"   clocks: {_clock_in_words(recorded)}"
+    n = profile.delays_ns.shape[1]
+    held = ", ".join(f"{k} {way}" for k, way in zip(recorded.held, ("up", "down"), strict=True))
+    yield (
+        f"{path}: {profile.duration_ns * 1e-9:g} s, {n} periods of {profile.period_ns * 1e-6:g} "
+        f"ms; held, as nothing was sent: {held}"
+    )
+    if any(recorded.impossible):
+        yield (
+            f"warning: {sum(recorded.impossible)} messages arrived before they were sent, by these "
+            "clocks: one of them was set or changed its rate meanwhile"
+        )
+
+
+def _clock_in_words(recorded: Recorded) -> str:
+    clock = recorded.clock
+    if clock.uncertainty_ns is None:
+        return f"{clock.method}: delays are as true as that"
+    if clock.uncertainty_ns == 0 and clock.offset_ns == 0:
+        return f"{clock.method}: offset 0, delays are true"
+    return (
+        f"far ahead by {clock.offset_ns * 1e-6:.3f} ms ± {clock.uncertainty_ns * 1e-6:.3f} ms, "
+        f"drift {clock.drift_ppm:+.2f} ppm, from {clock.method}; if one way is really slower, that "
+        "much of it may be counted to the other: only a common clock can tell (--clock "
+        "synchronised)"
+    )

@@ -1,0 +1,109 @@
+"""The emulated link as a process: `python -m netem replay factory/003 --listen … --connect …`.
+
+The robot dials `--listen`, the shim dials the edge at `--connect`. Key expressions are the same on
+both sides: taking the shim out is a change of one endpoint.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from netem.networks import load_network
+from netem.profile import DOWNLINK as DOWN
+from netem.profile import UPLINK as UP
+from netem.shim import Shim, Sides
+from shared.bus.security import NETEM
+from shared.bus.zenoh_bus import ZenohBus, machine_clock
+from shared.cli import EXIT_STANDING, add_run_arguments, config_from
+from shared.errors import ConfigError
+from shared.realtime import prepare, suspend_garbage_collection
+from shared.report import link_report
+from shared.service import (
+    EDGE_ENDPOINT,
+    NETEM_ENDPOINT,
+    ServiceLog,
+    StopSignal,
+    add_service_arguments,
+    identity_from,
+)
+from shared.telemetry import LINK_SCHEMA
+from shared.wire.channels import DOWNLINK, LINK_KEY, UPLINK
+
+_PRIORITY = 20
+
+
+def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `replay`."""
+    parser.add_argument("profile", nargs="?", metavar="NETWORK", help="the same as --network")
+    parser.add_argument(
+        "--listen",
+        metavar="ENDPOINT",
+        default=NETEM_ENDPOINT,
+        help="robot side (default %(default)s)",
+    )
+    parser.add_argument(
+        "--connect",
+        metavar="ENDPOINT",
+        default=EDGE_ENDPOINT,
+        help="edge side (default %(default)s)",
+    )
+    add_service_arguments(parser)
+    add_run_arguments(parser)
+
+
+def run_replay(arguments: argparse.Namespace) -> int:
+    """Stand between robot and edge until a signal; 0."""
+    if arguments.profile is not None:
+        if arguments.network is not None:
+            raise ConfigError(
+                f"network: expected once, got {arguments.profile!r} and {arguments.network!r}"
+            )
+        arguments.network = arguments.profile
+    config = config_from(arguments)
+    if config.link.network == "direct":
+        raise ConfigError("network: direct means no shim at all; the robot dials the edge itself")
+    profile = load_network(config.link.network)
+    stop = StopSignal()
+    me = identity_from(arguments, role=NETEM, kind=config.robot.name)
+    scheduling = prepare(priority=_PRIORITY)
+    near = ZenohBus(
+        listen=[arguments.listen], largest=DOWNLINK.max_bytes, credentials=me.credentials
+    )
+    far = ZenohBus.dial(
+        arguments.connect,
+        within=config.loop.connect_timeout,
+        largest=UPLINK.max_bytes,
+        credentials=me.credentials,
+        stopping=lambda: stop.requested,
+    )
+    log = ServiceLog(
+        "link", LINK_SCHEMA, out=arguments.out, telemetry=arguments.telemetry, key=LINK_KEY
+    )
+    robot = me.robot
+    sides = Sides(
+        uplink=far.publisher(UPLINK.key_for(robot), wait_when_full=True),
+        downlink=near.publisher(DOWNLINK.key_for(robot), wait_when_full=True),
+    )
+    shim = Shim(
+        profile,
+        config.link,
+        seed=config.seed,
+        sides=sides,
+        log=log.rows,
+        clock=machine_clock(),
+        say=lambda text: print(text, flush=True),
+    )
+    near.subscribe(UPLINK.key_for(robot), shim.receive(UP))
+    far.subscribe(DOWNLINK.key_for(robot), shim.receive(DOWN))
+    suspend_garbage_collection()
+    print(
+        f"READY {arguments.listen} → {arguments.connect} ({scheduling}; {profile.name}, nominal "
+        f"round trip {profile.nominal_round_trip_ns * 1e-6:.2f} ms)",
+        flush=True,
+    )
+    shim.run(lambda: stop.requested)
+    near.close()
+    far.close()
+    log.finish(lambda rows: link_report(rows, profile=profile.name, passes=shim.passes))
+    print(f"stopped: {sides.uplink.sent} up, {sides.downlink.sent} down", flush=True)
+    return EXIT_STANDING

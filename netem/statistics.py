@@ -1,0 +1,149 @@
+"""What a profile's delays are like: quantiles, outages, memory.
+
+An outage is a stretch of messages that took longer than `OUTAGE_MS` and than twice the median, or
+were lost: far above the base delay and its retransmissions, and what a controller notices. Its peak
+is the longest delay in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
+
+OUTAGE_MS = 9.0
+LINKS = ("uplink", "downlink", "round trip")
+_QUANTILES = (0.5, 0.9, 0.99, 0.999)
+
+
+@dataclass(frozen=True)
+class Outage:
+    """Messages `first` to `last`, both caught; `peak_ms` is inf if all of them were lost."""
+
+    first: int
+    last: int
+    peak_ms: float
+
+    @property
+    def messages(self) -> int:
+        """How many it caught."""
+        return self.last - self.first + 1
+
+
+@dataclass(frozen=True)
+class DelayStatistics:
+    """Of one link over one or several profiles; [ms] unless said.
+
+    `median`, `q90`, `q99`, `q999`, `maximum` of the delays that were not lost; `lost` the fraction
+    that were; `outages_per_second` [1/s]; `peak_median`, `peak_q90` over the outages, and
+    `duration_median` of the time they lasted; `memory` is the lag at which the autocorrelation of
+    the delay has fallen to 1/e. NaN for what does not exist.
+    """
+
+    median: float
+    q90: float
+    q99: float
+    q999: float
+    maximum: float
+    lost: float
+    outages_per_second: float
+    peak_median: float
+    peak_q90: float
+    duration_median: float
+    memory: float
+
+
+def delays_ms(profile: DelayProfile, link: str) -> np.ndarray:
+    """One-way delays, or the round trip of each message, [ms] (n,); inf for a lost one.
+
+    A round trip is the message up, and the answer sent the moment it arrives.
+    """
+    ways = np.where(profile.delays_ns == LOST, np.inf, profile.delays_ns * 1e-6)
+    if link != "round trip":
+        return ways[DOWNLINK if link == "downlink" else UPLINK]
+    n, period_ms = ways.shape[1], profile.period_ns * 1e-6
+    up = ways[UPLINK]
+    passed = np.isfinite(up)
+    arrival = np.arange(n) + (np.where(passed, up, 0.0) // period_ms).astype(int)
+    return up + ways[DOWNLINK][arrival % n]
+
+
+def outages(delays: np.ndarray) -> list[Outage]:
+    """The outages of one way [ms] (n,), in order."""
+    threshold = max(OUTAGE_MS, 2.0 * float(np.median(delays[np.isfinite(delays)])))
+    caught = np.concatenate([[False], delays > threshold, [False]])
+    edges = np.flatnonzero(np.diff(caught.astype(np.int8)))
+    found = []
+    for first, end in edges.reshape(-1, 2):
+        within = delays[first:end]
+        passed = within[np.isfinite(within)]
+        found.append(
+            Outage(int(first), int(end) - 1, float(passed.max()) if len(passed) else np.inf)
+        )
+    return found
+
+
+def statistics(profiles: Sequence[DelayProfile], link: str) -> DelayStatistics:
+    """Of all profiles together; `link` is one of `LINKS`."""
+    series = [delays_ms(profile, link) for profile in profiles]
+    periods_ms = [profile.period_ns * 1e-6 for profile in profiles]
+    every = np.concatenate(series)
+    passed = every[np.isfinite(every)]
+    events = [
+        (o, period) for each, period in zip(series, periods_ms, strict=True) for o in outages(each)
+    ]
+    seconds = (
+        sum(len(each) * period for each, period in zip(series, periods_ms, strict=True)) / 1000
+    )
+    peaks = [outage.peak_ms for outage, _ in events if np.isfinite(outage.peak_ms)]
+    durations = [outage.messages * period for outage, period in events]
+    median, q90, q99, q999 = (float(q) for q in np.quantile(passed, _QUANTILES))
+    return DelayStatistics(
+        median=median,
+        q90=q90,
+        q99=q99,
+        q999=q999,
+        maximum=float(passed.max()),
+        lost=1.0 - len(passed) / len(every),
+        outages_per_second=len(events) / seconds,
+        peak_median=_quantile(peaks, 0.5),
+        peak_q90=_quantile(peaks, 0.9),
+        duration_median=_quantile(durations, 0.5),
+        memory=_memory(series, periods_ms),
+    )
+
+
+def autocorrelation(series: Sequence[np.ndarray], lags: int) -> np.ndarray:
+    """Of the delay over lags 0 … `lags` − 1, pooled over series of one period; lost as the last."""
+    filled = [_filled(each) for each in series]
+    mean = np.concatenate(filled).mean()
+    products, counts = np.zeros(lags), np.zeros(lags)
+    for each in filled:
+        n = len(each)
+        # By the Wiener–Khinchin theorem, with as many zeros as keep the ends apart.
+        spectrum = np.fft.rfft(each - mean, 2 * n)
+        known = min(lags, n)
+        products[:known] += np.fft.irfft(np.abs(spectrum) ** 2)[:known]
+        counts[:known] += n - np.arange(known)
+    covariance = products / np.maximum(counts, 1)
+    return covariance / covariance[0] if covariance[0] > 0 else np.full(lags, np.nan)
+
+
+def _memory(series: Sequence[np.ndarray], periods_ms: Sequence[float]) -> float:
+    lags = min(1000, max(len(each) for each in series))
+    below = np.flatnonzero(autocorrelation(series, lags) < np.exp(-1))
+    return float(below[0] * periods_ms[0]) if len(below) else np.nan
+
+
+def _filled(delays: np.ndarray) -> np.ndarray:
+    """Lost messages as the delay before them."""
+    passed = np.isfinite(delays)
+    index = np.maximum.accumulate(np.where(passed, np.arange(len(delays)), 0))
+    return np.where(np.isfinite(delays[index]), delays[index], 0.0)
+
+
+def _quantile(values: Sequence[float], q: float) -> float:
+    return float(np.quantile(values, q)) if values else np.nan

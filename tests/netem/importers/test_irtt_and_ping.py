@@ -1,0 +1,296 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from netem.profile import DOWNLINK, LOST, UPLINK
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def irtt(sample, written):
+    """irtt's sample with each round trip changed: `irtt(lambda k, trip: …)`."""
+
+    def change(each):
+        document = json.loads(sample("irtt_sample.json").read_text())
+        for k, trip in enumerate(document["round_trips"]):
+            each(k, trip)
+        return written("irtt.json", json.dumps(document))
+
+    return change
+
+
+def lose(trip, how):
+    trip["lost"] = how
+    trip["delay"] = {}
+    trip["timestamps"]["client"]["receive"] = {}
+    trip["timestamps"]["server"] = {"receive": {}, "send": {}}
+
+
+# The sample has a packet every 10 ms: a period each.
+EACH = ("--period", "10ms")
+
+
+def measured(profile, direction):
+    assert profile.delays_ns.shape == (2, 20)
+    return profile.delays_ns[direction].tolist()
+
+
+def test_one_way_delays_are_those_of_the_file(convert, sample):
+    profile = convert(sample("irtt_sample.json"), *EACH)
+    trips = json.loads(sample("irtt_sample.json").read_text())["round_trips"]
+    assert measured(profile, UPLINK) == [trip["delay"]["send"] for trip in trips]
+    assert measured(profile, DOWNLINK) == [trip["delay"]["receive"] for trip in trips]
+    assert profile.metadata["split"] == "one-way"
+    assert profile.metadata["uplink_bytes"] == profile.metadata["downlink_bytes"] == 1000
+    assert profile.metadata["rate_hz"] == 100
+    assert any("clocks of the two ends" in note for note in profile.metadata["notes"])
+
+
+@pytest.mark.parametrize("why", ["asked for", "no timestamps"])
+def test_round_trips_are_halved_and_the_metadata_says_so(convert, sample, irtt, why):
+    if why == "asked for":
+        profile = convert(sample("irtt_sample.json"), "--clock", "half", *EACH)
+    else:
+        profile = convert(
+            irtt(lambda k, trip: [trip["delay"].pop(w) for w in ("send", "receive")]), *EACH
+        )
+    trips = json.loads(sample("irtt_sample.json").read_text())["round_trips"]
+    halves = [trip["delay"]["rtt"] // 2 for trip in trips]
+    assert measured(profile, UPLINK) == halves
+    sums = profile.delays_ns.sum(axis=0).tolist()
+    assert sums == [trip["delay"]["rtt"] for trip in trips]
+    assert profile.metadata["split"] == "half"
+
+
+def test_a_loss_is_on_the_way_that_irtt_says(convert, irtt):
+    how = {3: "true_up", 5: "true_down", 8: "true"}
+    profile = convert(irtt(lambda k, trip: lose(trip, how[k]) if k in how else None), *EACH)
+    up, down = measured(profile, UPLINK), measured(profile, DOWNLINK)
+    assert [k for k, delay in enumerate(up) if delay == LOST] == [3, 8]
+    assert [k for k, delay in enumerate(down) if delay == LOST] == [5, 8]
+    assert profile.metadata["packets"] == {"uplink": 19, "downlink": 19}
+
+
+@pytest.mark.parametrize("split", [(), ("--clock", "half")], ids=["one-way", "half"])
+def test_a_loss_on_one_way_leaves_the_other_alone(convert, irtt, split):
+    how = {3: "true_up", 5: "true_down"}
+    file = irtt(lambda k, trip: lose(trip, how[k]) if k in how else None)
+    profile = convert(file, *EACH, *split)
+    assert (profile.delays_ns[UPLINK] == LOST).nonzero()[0].tolist() == [3]
+    assert (profile.delays_ns[DOWNLINK] == LOST).nonzero()[0].tolist() == [5]
+
+
+def test_lost_as_a_truth_value_is_understood(convert, irtt):
+    def change(k, trip):
+        trip["lost"] = False
+        if k == 4:
+            lose(trip, True)
+
+    profile = convert(irtt(change), *EACH)
+    assert measured(profile, UPLINK)[4] == measured(profile, DOWNLINK)[4] == LOST
+
+
+@pytest.mark.parametrize("offset_ms", [-40, 300])
+def test_clocks_that_differ_are_refused_until_told_how_to_treat_them(
+    convert, refused, irtt, sample, offset_ms
+):
+    def change(k, trip):
+        trip["delay"]["send"] += offset_ms * MS
+        trip["delay"]["receive"] -= offset_ms * MS
+        if k == 9:
+            lose(trip, "true_down")
+
+    file = irtt(change)
+    text = refused(file)
+    assert "--clock offset" in text
+    assert "--clock half" in text
+    profile = convert(file, "--clock", "offset", *EACH)
+    trips = json.loads(sample("irtt_sample.json").read_text())["round_trips"]
+    del trips[9]
+    sent = [trip["delay"]["send"] for trip in trips]
+    received = [trip["delay"]["receive"] for trip in trips]
+    offset = (min(sent) - min(received)) // 2
+    up, down = measured(profile, UPLINK), measured(profile, DOWNLINK)
+    assert down.index(LOST) == 9
+    # Of a packet lost on the way down the delay up is not known: that period is interpolated.
+    assert up[:9] + up[10:] == [delay - offset for delay in sent]
+    assert down[:9] + down[10:] == [delay + offset for delay in received]
+    assert convert(file, "--clock", "half").metadata["split"] == "half"
+
+
+def test_without_times_packets_are_an_interval_apart(convert, irtt):
+    def change(k, trip):
+        del trip["timestamps"]
+        trip["delay"] = {"rtt": (k + 1) * 2000}
+
+    profile = convert(irtt(change), *EACH)
+    assert measured(profile, UPLINK) == [(k + 1) * 1000 for k in range(20)]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda trip: trip.update(lost="perhaps"), ["lost as one of", "perhaps"]),
+        (lambda trip: trip["delay"].update(send="5ms"), ["delay send in whole ns", "5ms"]),
+        (lambda trip: trip["delay"].update(send=float("nan")), ["delay send", "nan"]),
+        (lambda trip: trip["delay"].update(rtt=-1), ["delay rtt", "-1"]),
+        (lambda trip: trip["timestamps"]["client"].update(send={"wall": 1.5}), ["sending", "1.5"]),
+    ],
+)
+def test_a_wrong_round_trip_is_named_with_its_number(refused, irtt, change, words):
+    text = refused(irtt(lambda k, trip: change(trip) if k == 7 else None))
+    assert "irtt.json, round trip 7: expected" in text
+    for word in words:
+        assert word in text
+
+
+def test_irtt_cut_off_is_named_with_its_line(refused, sample, written):
+    text = sample("irtt_sample.json").read_text()
+    half = text[: len(text) // 2]
+    message = refused(written("irtt.json", half))
+    assert f"line {half.count(chr(10)) + 1}: expected whole JSON" in message
+
+
+def test_a_file_of_both_ways_stands_alone(refused, sample):
+    file = sample("irtt_sample.json")
+    assert "alone" in refused(file, file)
+    assert "--other-way" in refused(file, "--other-way", "same")
+
+
+# Pings ---------------------------------------------------------------------------------------
+
+
+def log(*replies, heading="PING 10.0.0.1 (10.0.0.1) 56(84) bytes of data.\n", tail=""):
+    return heading + "".join(reply + "\n" for reply in replies) + tail
+
+
+def reply(sequence, milliseconds):
+    return f"64 bytes from 10.0.0.1: icmp_seq={sequence} ttl=64 time={milliseconds} ms"
+
+
+def test_a_log_with_times_has_a_ping_where_it_was_sent(convert, sample):
+    file = sample("ping_D_sample.txt")
+    profile = convert(file)
+    sent, trips = [], []
+    for line in file.read_text().splitlines():
+        if line.startswith("["):
+            trip_ns = round(float(line.split("time=")[1].split()[0]) * MS)
+            stamp_us = int(line[1:18].replace(".", ""))
+            sent.append(stamp_us * 1000 - trip_ns)
+            trips.append(trip_ns)
+    assert len(trips) == 20
+    delays = profile.delays_ns[UPLINK].tolist()
+    for at, trip in zip(sent, trips, strict=True):
+        period = (at - sent[0]) // MS
+        assert trip // 2 in delays[max(period - 1, 0) : period + 2]
+    assert len(delays) == (sent[-1] - sent[0]) // MS + 1
+    assert profile.metadata["split"] == "half"
+    assert profile.metadata["uplink_bytes"] == 64
+    assert profile.metadata["packets_lost"] == {"uplink": 0, "downlink": 0}
+
+
+def test_a_plain_log_has_a_ping_every_interval(convert, written):
+    file = written("p.log", log(reply(1, 4), reply(2, 8), reply(3, 6)))
+    profile = convert(file, "--interval", "1ms")
+    assert profile.delays_ns[UPLINK].tolist() == [2 * MS, 4 * MS, 3 * MS]
+
+
+def test_without_an_interval_a_second_is_taken_and_said(convert, written):
+    profile = convert(written("p.log", log(reply(1, 4), reply(2, 8))))
+    assert profile.delays_ns.shape == (2, 1001)
+    assert any("1 s apart" in note for note in profile.metadata["notes"])
+    assert profile.metadata["rate_hz"] == 1
+
+
+LINES = {
+    "unreachable": "From 10.0.0.254 icmp_seq=3 Destination Host Unreachable",
+    "nothing": None,
+    "no answer": "no answer yet for icmp_seq=3",
+    "macOS": "Request timeout for icmp_seq 3",
+    "complaint": "ping: sendmsg: Network is unreachable",
+    "macOS complaint": "92 bytes from router (192.168.1.1): Destination Host Unreachable\n"
+    "Vr HL TOS  Len   ID Flg  off TTL Pro  cks      Src      Dst\n"
+    " 4  5  00 5400 0000   0 0000  40  01 b755 192.168.1.5  10.0.0.1",
+}
+
+
+@pytest.mark.parametrize("kind", LINES)
+def test_a_number_without_a_reply_is_lost_on_both_ways(convert, written, kind):
+    lines = [reply(1, 4), reply(2, 4), *([LINES[kind]] if LINES[kind] else []), reply(4, 4)]
+    profile = convert(written("p.log", log(*lines)), "--interval", "10ms", "--period", "10ms")
+    assert profile.delays_ns[UPLINK].tolist() == [2 * MS, 2 * MS, LOST, 2 * MS]
+    assert profile.metadata["packets_lost"] == {"uplink": 1, "downlink": 1}
+
+
+def test_the_first_of_duplicates_counts_and_late_replies_are_no_loss(convert, written):
+    lines = [reply(1, 2), reply(3, 2), reply(2, 12), reply(2, 14) + " (DUP!)", reply(4, 2)]
+    profile = convert(written("p.log", log(*lines)), "--interval", "10ms", "--period", "10ms")
+    assert profile.delays_ns[UPLINK].tolist() == [MS, 6 * MS, MS, MS]
+
+
+def test_pings_at_either_end_that_the_statistics_count_are_lost(convert, written):
+    tail = (
+        "\n--- 10.0.0.1 ping statistics ---\n6 packets transmitted, 3 received, 50% packet loss\n"
+    )
+    lines = [reply(k, 2) for k in (2, 3, 4)]
+    profile = convert(
+        written("p.log", log(*lines, tail=tail)), "--interval", "10ms", "--period", "10ms"
+    )
+    assert profile.delays_ns[UPLINK].tolist() == [LOST, MS, MS, MS, LOST, LOST]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "64 bytes from 8.8.8.8: icmp_seq={n} ttl=117 time=8.000 ms",
+        "64 bytes from 8.8.8.8: seq={n} ttl=117 time=8.000 ms",
+        "64 bytes from 8.8.8.8: icmp_req={n} ttl=117 time=8.00 ms",
+        "64 bytes from dns.google (8.8.8.8): icmp_seq={n} ttl=117 time=8.00 ms",
+        "64 bytes from 2001:db8::1%eth0: icmp_seq={n} ttl=64 time=8.0 ms",
+        "16 bytes from 2001:db8::1, icmp_seq={n} hlim=64 time=8.000 ms",
+        "11:22:33.123456 64 bytes from 8.8.8.8: icmp_seq={n} ttl=117 time=8.000 ms",
+        "64 Bytes von 8.8.8.8: icmp_seq={n} ttl=117 Zeit=8,00 ms",
+        "64 octets de 8.8.8.8 : icmp_seq={n} ttl=117 temps=8.00 ms",
+        "64 bytes from 8.8.8.8: icmp_seq={n} ttl=117 time=8 ms (DUP!)",
+    ],
+)
+def test_replies_of_every_ping_are_understood(convert, written, line):
+    lines = [line.format(n=n) for n in range(3)]
+    profile = convert(written("p.log", log(*lines, heading="")), "--interval", "1ms")
+    assert profile.delays_ns[UPLINK].tolist() == [4 * MS] * 3
+
+
+def test_numbers_go_on_after_65535(convert, written):
+    lines = [reply(n % 65536, 2) for n in (65534, 65535, 65536, 65538)]
+    profile = convert(written("p.log", log(*lines)), "--interval", "10ms", "--period", "10ms")
+    assert profile.delays_ns[UPLINK].tolist() == [MS, MS, MS, LOST, MS]
+
+
+def test_a_log_in_the_encoding_of_powershell_is_read(convert, written):
+    text = log(reply(1, 4), reply(2, 4)).replace("\n", "\r\n")
+    profile = convert(written("p.log", text.encode("utf-16")), "--interval", "1ms")
+    assert profile.delays_ns[UPLINK].tolist() == [2 * MS] * 2
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("64 bytes from 10.0.0.1: icmp_seq=2 ttl=64 ti", "a reply as in"),
+        ("64 bytes from 10.0.0.1: icmp_", "a reply as in"),
+        ("[1795299931.5445", "a reply as in"),
+        ("64 bytes from 10.0.0.1: icmp_seq=70000 ttl=64 time=2 ms", "from 0 to 65535"),
+        ("PING 10.0.0.2 (10.0.0.2) 56(84) bytes of data.", "one run of ping, begun at line 1"),
+    ],
+)
+def test_a_wrong_line_of_a_log_is_named(refused, written, line, words):
+    text = refused(written("p.log", log(reply(1, 4), line)))
+    assert "p.log, line 3: expected" in text
+    assert words in text
+
+
+def test_a_log_without_replies_is_refused(refused, written):
+    text = refused(written("p.log", log("From 10.0.0.254 icmp_seq=1 Destination Host Unreachable")))
+    assert "replies" in text

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from netem.importers.measured import Measured, Series, ordered, without_unfinished
+from netem.importers.resample import MAX_PERIODS, to_profile
+from netem.profile import DOWNLINK, LOST, UPLINK
+from shared.errors import ProfileError
+
+MS = 1_000_000
+
+
+def profile_of(up, down=None, *, period_ns=MS, series=None):
+    """Of (sent_ns, delay_ns or LOST) of each way; the downlink is 1 ms throughout if not given."""
+    ways = [
+        None
+        if way is None
+        else ordered([s for s, _ in way], [d for _, d in way], [d == LOST for _, d in way])
+        for way in (up, down)
+    ]
+    measured = Measured((ways[0], ways[1]), series=series or {})
+    constant_ns = MS if down is None else None
+    return to_profile(measured, name="test", period_ns=period_ns, constant_ns=constant_ns)
+
+
+def test_a_period_has_the_longest_delay_of_its_packets():
+    burst = [(k * MS + j * 1000, (j % 3) * MS + 7) for k in range(4) for j in range(5)]
+    assert profile_of(burst).delays_ns[UPLINK].tolist() == [2 * MS + 7] * 4
+
+
+def test_a_period_is_lost_only_if_all_its_packets_were():
+    packets = [(0, MS), (10, LOST), (MS, LOST), (MS + 10, LOST), (2 * MS, MS)]
+    assert profile_of(packets).delays_ns[UPLINK].tolist() == [MS, LOST, MS]
+
+
+def test_behind_a_stall_the_packets_that_were_not_measured_wait_a_millisecond_less_each():
+    # Sent every 20 ms into a stall that ends at 100 ms: each waits until then.
+    packets = [(sent * MS, (100 - sent) * MS) for sent in range(0, 100, 20)]
+    expected = [(100 - sent) * MS for sent in range(81)]
+    assert profile_of(packets).delays_ns[UPLINK].tolist() == expected
+
+
+def test_a_lost_packet_is_no_delay_to_interpolate_from():
+    packets = [(0, 2 * MS), (2 * MS, LOST), (4 * MS, 4 * MS)]
+    delays = profile_of(packets).delays_ns[UPLINK].tolist()
+    assert delays == [2 * MS, 2 * MS + MS // 2, LOST, 3 * MS + MS // 2, 4 * MS]
+
+
+@pytest.mark.parametrize("early_ns", [-400, -1, 0, 1, 400])
+def test_times_rounded_either_way_stay_in_their_period(early_ns):
+    packets = [(k * MS + early_ns * (-1) ** k, k * 1000) for k in range(50)]
+    assert profile_of(packets).delays_ns[UPLINK].tolist() == [k * 1000 for k in range(50)]
+
+
+def test_the_ways_share_the_time_for_which_both_were_measured():
+    up = [(k * MS, k * 1000) for k in range(10)]
+    down = [(k * MS + 300_000, k * 1000) for k in range(4, 20)]
+    profile = profile_of(up, down)
+    assert profile.delays_ns[UPLINK].tolist() == [k * 1000 for k in range(4, 10)]
+    assert profile.delays_ns[DOWNLINK].tolist() == [k * 1000 for k in range(4, 10)]
+    assert any("all files cover" in note for note in profile.metadata["notes"])
+
+
+def test_ways_measured_on_different_days_are_taken_from_their_start():
+    day_ns = 86_400_000_000_000
+    up = [(k * MS, k * 1000) for k in range(5)]
+    down = [(day_ns + 123 + k * MS, k * 2000) for k in range(5)]
+    profile = profile_of(up, down)
+    assert profile.delays_ns.tolist() == [[0, 1000, 2000, 3000, 4000], [0, 2000, 4000, 6000, 8000]]
+    assert any("different times" in note for note in profile.metadata["notes"])
+
+
+def test_bytes_are_added_up_and_means_are_taken_in_each_period():
+    packets = [(k * MS, MS) for k in range(3)]
+    at = np.array([0, 100, 2 * MS])
+    series = {
+        "uplink_capacity_bytes": Series(at, np.array([1000.0, 500.0, 7.0])),
+        "sinr_ul_db": Series(at, np.array([10.0, 20.0, -3.0]), mean=True),
+    }
+    columns = profile_of(packets, series=series).columns
+    assert columns["uplink_capacity_bytes"].tolist() == [1500, 0, 7]
+    assert columns["sinr_ul_db"][[0, 2]].tolist() == [15.0, -3.0]
+    assert np.isnan(columns["sinr_ul_db"][1])
+
+
+def test_a_period_of_another_length_holds_more_packets():
+    packets = [(k * MS, k * 1000) for k in range(20)]
+    profile = profile_of(packets, period_ns=5 * MS)
+    assert profile.period_ns == 5 * MS
+    # Nothing was sent between 19 and 24 ms: there the boundary lies.
+    assert profile.delays_ns[UPLINK].tolist() == [4000, 9000, 14000, 19000]
+
+
+@given(
+    gaps=st.lists(st.integers(1, 5 * MS), min_size=1, max_size=40),
+    origin=st.integers(-(10**15), 2 * 10**18),
+    data=st.data(),
+)
+def test_delays_are_those_of_packets_or_between_them_and_arrivals_keep_their_order(
+    gaps, origin, data
+):
+    sent = origin + np.cumsum(gaps)
+    # A FIFO link: nobody overtakes.
+    arrivals = np.maximum.accumulate(
+        [s + data.draw(st.integers(0, 50 * MS)) for s in sent.tolist()]
+    )
+    packets = list(zip(sent.tolist(), (arrivals - sent).tolist(), strict=True))
+    delays = profile_of(packets).delays_ns[UPLINK]
+    assert min(d for _, d in packets) <= delays.min()
+    assert delays.max() == max(d for _, d in packets)
+    # A message sent a period later arrives no earlier than a period before the last one did.
+    assert (np.diff(delays) >= -2 * MS).all()
+
+
+@pytest.mark.parametrize(
+    ("packets", "words"),
+    [
+        ([(0, LOST), (MS, LOST)], ["uplink", "arrived"]),
+        ([(0, MS), (MAX_PERIODS * MS, MS)], ["units", "--period"]),
+        ([(0, 3600 * 1000 * MS + 1)], ["3600 s", "units"]),
+        ([(0, -5)], ["from 0"]),
+    ],
+    ids=["all lost", "too long", "hours of delay", "negative"],
+)
+def test_what_makes_no_profile_is_refused(packets, words):
+    with pytest.raises(ProfileError) as error:
+        profile_of(packets)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_what_may_still_be_under_way_at_the_end_is_neither_lost_nor_delayed():
+    way = ordered([0, 10, 20, 90], [30, 0, 50, 0], [False, True, False, True])
+    # The record ends at 100; the longest delay is 50: of the packet sent at 90 nobody knows.
+    kept, left_out = without_unfinished(way, 100)
+    assert left_out == 1
+    assert kept.sent_ns.tolist() == [0, 10, 20]
+    assert kept.lost.tolist() == [False, True, False]

@@ -1,0 +1,283 @@
+"""From stamps to a profile, and a whole recording between two ends over a simulated cable."""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from netem.delay_line import DelayLine
+from netem.networks import load_profile
+from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
+from netem.profile_file import read_profile, write_profile
+from netem.recorder.clock_offset import NEVER, Stamps, one_clock
+from netem.recorder.probe import Instant, ProbeSettings
+from netem.recorder.probe_far import FarEnd
+from netem.recorder.probe_near import NearEnd
+from netem.recorder.recording import estimate_clock, fill_sending_times, reconstruct, resample
+from shared.errors import LinkError
+from shared.quantities import parse_outage
+
+MS = 1_000_000
+SETTINGS = ProbeSettings(period_ns=MS, uplink_bytes=200, downlink_bytes=400)
+# The near clock at the start of a simulation: days of uptime.
+EPOCH = 3 * 10**14
+
+
+class Simulation:
+    """A recording in simulated time. Its true clock is the near one; `start` is when it began."""
+
+    def __init__(self, profile, *, lead_ns=0, drift_ppm=0.0, one_clock=True, late_ns=(0,), **cable):
+        self.near = NearEnd(SETTINGS, session=7, capacity=5000)
+        self.far = FarEnd()
+        self.start_ns = EPOCH
+        self._lead_ns, self._drift_ppm, self._one_clock = lead_ns, drift_ppm, one_clock
+        self._late_ns = late_ns
+        rng = np.random.default_rng(5)
+        options = {"keep_order": False, **cable}
+        self._lines = [
+            DelayLine(profile, way, start_ns=EPOCH, rng=rng, **options)
+            for way in (UPLINK, DOWNLINK)
+        ]
+        self._events = [(EPOCH, 0, "near", 0)]
+        self._pushed = 1
+
+    def run(self, *, periods):
+        """Connect, measure so long, drain; returns what is measured, start and end."""
+        measured, far_next = 0, None
+        start_ns = end_ns = 0
+        quiet_ns = 0
+        while self._events:
+            now_ns, _, what, number = heapq.heappop(self._events)
+            if what == "near":
+                now = self._late(now_ns, number)
+                if self.near.answered and not measured:
+                    start_ns = now_ns - MS // 2
+                measured += self.near.answered
+                end_ns = start_ns + periods * MS
+                self.near.draining |= measured > periods
+                self._send(UPLINK, self.near.message(Instant(now, now)), now)
+                quiet_ns = now - max(end_ns, self.near.last_news_ns)
+                done = self.near.draining and (self.near.complete or quiet_ns > 1500 * MS)
+                if not done:
+                    self._at(now_ns + (10 * MS if self.near.draining else MS), "near", number + 1)
+            elif what == "far" and self.far.recording is not None:
+                now = self._late(now_ns, number)
+                instant = self._far_instant(now)
+                if self.far.recording.over(instant):
+                    break
+                self._send(DOWNLINK, self.far.recording.message(instant), now)
+                self._at(now_ns + MS, "far", number + 1)
+            elif what == UPLINK:
+                for due in self._lines[UPLINK].pop_due(now_ns):
+                    self.far.take(due.item, self._far_instant(now_ns))
+                if far_next is None:
+                    far_next = now_ns
+                    self._at(now_ns + MS // 3, "far", 0)
+            elif what == DOWNLINK:
+                for due in self._lines[DOWNLINK].pop_due(now_ns):
+                    self.near.take(due.item, Instant(now_ns, now_ns), one_clock=self._one_clock)
+        return start_ns, end_ns
+
+    def record(self, *, periods):
+        """What the near end makes of it."""
+        start_ns, end_ns = self.run(periods=periods)
+        up, down = self.near.stamps()
+        clock, _ = estimate_clock(up, down, same_clock=self.near.one_clock, same_time=False)
+        return reconstruct(
+            up, down, clock, settings=SETTINGS, name="x", start_ns=start_ns, end_ns=end_ns,
+            metadata={},
+        )  # fmt: skip
+
+    def _late(self, due_ns, number):
+        return due_ns + self._late_ns[number % len(self._late_ns)]
+
+    def _far_instant(self, near_ns):
+        elapsed_ns = near_ns - EPOCH
+        shows = near_ns + self._lead_ns + round(1e-6 * self._drift_ppm * elapsed_ns)
+        return Instant(shows, shows)
+
+    def _send(self, way, data, now_ns):
+        due_ns = self._lines[way].push(data, sent_ns=now_ns)
+        if due_ns is not None:
+            self._at(due_ns, way, 0)
+
+    def _at(self, time_ns, what, number):
+        heapq.heappush(self._events, (time_ns, self._pushed, what, number))
+        self._pushed += 1
+
+
+def expected_ns(profile, recorded, way, *, spread=1):
+    """Per recorded period the profile's delays around it, (periods, 2 spread + 1) [ns]."""
+    start_ns = recorded.profile.metadata["start_ns"] - EPOCH
+    n = recorded.profile.delays_ns.shape[1]
+    middles = (start_ns + MS // 2 + np.arange(n) * MS) // MS
+    around = middles[:, None] + np.arange(-spread, spread + 1)[None, :]
+    return profile.delays_ns[way][around % profile.delays_ns.shape[1]]
+
+
+DELAY = st.integers(0, 400).map(lambda tenths: tenths * MS // 10)
+# One delay at least that is none, so that a recording can begin.
+WAY = st.lists(DELAY | st.just(LOST), min_size=6, max_size=6)
+PROFILES = st.tuples(WAY, WAY).map(
+    lambda ways: DelayProfile("x", np.repeat([[MS, *way] for way in ways], 20, axis=1))
+)
+# Up to a third of a period, past which neighbours' messages are as near.
+LATE = st.lists(st.integers(0, MS // 3), min_size=1, max_size=7)
+
+examples = settings(max_examples=25, deadline=None)
+
+
+@examples
+@given(PROFILES, LATE)
+def test_recording_a_profile_gives_it_back_with_its_losses_and_reordering(profile, late):
+    simulation = Simulation(profile, late_ns=late)
+    recorded = simulation.record(periods=140)
+    for way in (UPLINK, DOWNLINK):
+        got = recorded.profile.delays_ns[way]
+        assert np.all(np.any(got[:, None] == expected_ns(profile, recorded, way), axis=1))
+    assert recorded.held == (0, 0)
+    assert simulation.near.refused == {}
+    assert simulation.far.refused == {}
+
+
+@examples
+@given(PROFILES, st.integers(-(10**13), 10**13), st.floats(-150.0, 150.0))
+def test_without_a_common_clock_only_the_least_delays_asymmetry_is_missing(profile, lead, drift):
+    # The same least delay both ways, found all along: then nothing is missing.
+    delays = profile.delays_ns
+    delays[delays != LOST] = np.maximum(delays[delays != LOST], MS)
+    delays[:, ::10] = MS
+    recorded = Simulation(profile, lead_ns=lead, drift_ppm=drift, one_clock=False).record(
+        periods=200
+    )
+    assert recorded.clock.uncertainty_ns == pytest.approx(MS, abs=5)
+    for way in (UPLINK, DOWNLINK):
+        got = recorded.profile.delays_ns[way]
+        wrong = np.abs(got[:, None] - expected_ns(profile, recorded, way))
+        assert np.all(wrong.min(axis=1) <= 10)
+
+
+def test_asymmetry_is_shared_between_the_ways():
+    profile = load_profile("constant:4ms/10ms")
+    recorded = Simulation(profile, lead_ns=10**12, one_clock=False).record(periods=50)
+    assert np.all(recorded.profile.delays_ns == 7 * MS)
+    assert recorded.clock.offset_ns == 10**12 - 3 * MS
+    assert recorded.clock.uncertainty_ns == 7 * MS
+
+
+@pytest.mark.parametrize("keep_order", [False, True])
+def test_an_outage_is_recorded_as_it_was(keep_order):
+    profile = load_profile("constant:6ms")
+    recorded = Simulation(
+        profile, outages=[parse_outage("200ms@50ms")], keep_order=keep_order
+    ).record(periods=400)
+    start_ns = recorded.profile.metadata["start_ns"] - EPOCH
+    middles = start_ns + MS // 2 + np.arange(400) * MS
+    stalled = (middles >= 50 * MS) & (middles < 250 * MS)
+    expected = 3 * MS + np.where(stalled, 250 * MS - middles, 0)
+    # A period's message was sent within half a period of its middle.
+    assert np.abs(recorded.profile.delays_ns - expected).max() <= MS // 2
+
+
+def test_a_cut_link_is_lost_until_the_end_and_what_was_measured_is_kept():
+    simulation = Simulation(load_profile("constant:6ms"), outages=[parse_outage("cut@100ms")])
+    recorded = simulation.record(periods=300)
+    assert not simulation.near.drained
+    before = (100 * MS - (recorded.profile.metadata["start_ns"] - EPOCH)) // MS
+    for delays in recorded.profile.delays_ns:
+        # What was reported 3 ms later at the latest came through.
+        assert np.all(delays[: before - 4] == 3 * MS)
+        assert np.all(delays[before + 1 :] == LOST)
+
+
+def test_random_losses_lose_no_stamp_of_a_message_that_arrived():
+    simulation = Simulation(load_profile("constant:20ms"), loss=0.3)
+    recorded = simulation.record(periods=1000)
+    for delays in recorded.profile.delays_ns:
+        assert set(np.unique(delays)) == {LOST, 10 * MS}
+        # Three standard deviations of 1000 draws.
+        assert np.mean(delays == LOST) == pytest.approx(0.3, abs=0.045)
+
+
+def test_sending_times_of_lost_messages_are_drawn_in_between():
+    known = Stamps(np.array([NEVER, 11, NEVER, NEVER, 17, NEVER]), np.zeros(6, dtype=np.int64))
+    assert fill_sending_times(known, period_ns=2).tolist() == [9, 11, 13, 15, 17, 19]
+
+
+def test_a_period_takes_the_message_nearest_to_its_middle():
+    sent = np.array([4, 16, 24, 29, 46])
+    delays, held = resample(sent, np.arange(5), start_ns=0, period_ns=10, n=5)
+    assert delays.tolist() == [0, 1, 2, 3, 4]
+    assert held == 0
+
+
+def test_periods_slept_through_hold_the_nearest_delay_and_are_counted():
+    sent = np.array([5, 15, 75, 85]) * MS
+    delays, held = resample(sent, np.array([1, 2, 3, LOST]), start_ns=0, period_ns=10 * MS, n=10)
+    assert delays.tolist() == [1, 2, 2, 2, 2, 3, 3, 3, LOST, LOST]
+    # Those whose middle is more than a period from any message.
+    assert held == 3
+
+
+def test_a_single_message_is_a_profile():
+    delays, _ = resample(np.array([5]), np.array([7]), start_ns=0, period_ns=10, n=2)
+    assert delays.tolist() == [7, 7]
+
+
+def test_a_way_that_lost_everything_is_no_profile():
+    up = Stamps(np.arange(10) * MS, np.arange(10) * MS + 5)
+    down = Stamps(np.arange(10) * MS, np.full(10, NEVER))
+    with pytest.raises(LinkError, match="no downlink message arrived"):
+        estimate_clock(up, down, same_clock=True, same_time=False)
+    down.received_ns[0] = 8
+    with pytest.raises(LinkError, match="every downlink message was lost"):
+        reconstruct(
+            up, down, one_clock(0), settings=SETTINGS, name="x", start_ns=5 * MS, end_ns=9 * MS,
+            metadata={},
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv"])
+def test_the_file_is_a_profile_that_says_where_it_comes_from(tmp_path, suffix):
+    profile = load_profile("constant:4ms/10ms")
+    recorded = Simulation(profile, lead_ns=10**12, one_clock=False).record(periods=50)
+    path = tmp_path / f"mylink{suffix}"
+    write_profile(recorded.profile, path)
+    read = read_profile(path)
+    assert np.array_equal(read.delays_ns, recorded.profile.delays_ns)
+    assert read.period_ns == MS
+    assert read.metadata["offset_ns"] == 10**12 - 3 * MS
+    assert read.metadata["uncertainty_ns"] == 7 * MS
+    assert read.metadata["drift_ppm"] == 0.0
+    assert read.metadata["clock"] == "equal least delays both ways"
+
+
+def test_clocks_said_to_be_synchronised_that_are_not_are_estimated_with_a_warning():
+    simulation = Simulation(load_profile("constant:8ms"), lead_ns=50 * MS, one_clock=False)
+    simulation.run(periods=30)
+    clock, warning = estimate_clock(*simulation.near.stamps(), same_clock=False, same_time=True)
+    assert clock.offset_ns == 50 * MS
+    assert "46.000 ms apart or more" in warning
+
+
+def test_who_watches_sees_delays_near_the_true_ones_though_clocks_drift():
+    simulation = Simulation(
+        load_profile("constant:8ms"), lead_ns=-(10**14), drift_ppm=-150.0, one_clock=False
+    )
+    simulation.run(periods=2500)
+    progress = simulation.near.progress
+    # 2.5 s of drift are 0.4 ms; what is forgotten in the round trip is a few µs.
+    assert progress.uplink_ns == pytest.approx(4 * MS, abs=0.02 * MS)
+    assert progress.downlink_ns == pytest.approx(4 * MS, abs=0.02 * MS)
+    assert (progress.uplink_lost, progress.downlink_lost) == (0, 0)
+
+
+def test_without_losses_the_near_end_knows_that_nothing_is_missing():
+    simulation = Simulation(load_profile("constant:8ms"))
+    simulation.run(periods=40)
+    assert simulation.near.complete
+    assert all(np.all(way.received_ns != NEVER) for way in simulation.near.stamps())

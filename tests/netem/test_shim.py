@@ -1,0 +1,156 @@
+"""The shim in one process: nothing early, nothing swapped, whatever arrives while it waits."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from netem.networks import constant_profile
+from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
+from netem.shim import Shim, Sides
+from shared.bus.base import Delivery, Envelope
+from shared.config import LinkConfig
+from shared.telemetry import LINK_SCHEMA, RowLog
+
+MS = 1_000_000
+CLOCK = 7
+
+
+class Outlet:
+    """Notes what is forwarded and when."""
+
+    def __init__(self) -> None:
+        self.sent = 0
+        self.forwarded: list[tuple[int, int]] = []
+
+    def publish(self, data: bytes) -> None:
+        raise NotImplementedError
+
+    def forward(self, delivery: Delivery) -> None:
+        assert delivery.envelope is not None
+        self.forwarded.append((delivery.envelope.sequence, time.monotonic_ns()))
+        self.sent += 1
+
+    def wait_for(self, count: int) -> list[tuple[int, int]]:
+        deadline = time.monotonic() + 30.0
+        while len(self.forwarded) < count and time.monotonic() < deadline:
+            time.sleep(0.001)
+        assert len(self.forwarded) == count
+        return self.forwarded
+
+
+class Bench:
+    """A shim at work between two outlets."""
+
+    def __init__(self, profile: DelayProfile, *, seed: int = 0, keep_order: bool = True) -> None:
+        self.log = RowLog(LINK_SCHEMA)
+        self.outlets = (Outlet(), Outlet())
+        self.shim = Shim(
+            profile,
+            LinkConfig(keep_order=keep_order),
+            seed=seed,
+            sides=Sides(*self.outlets),
+            log=self.log,
+            clock=CLOCK,
+            say=lambda text: None,
+        )
+
+    def send(self, direction: int, sequence: int, *, sent_ns: int, clock: int = CLOCK) -> None:
+        envelope = Envelope(1, sequence, sent_ns, clock)
+        self.shim.receive(direction)(Delivery(b"x", envelope))
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        done = threading.Event()
+        thread = threading.Thread(target=self.shim.run, args=(done.is_set,))
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+
+    def column(self, name: str) -> np.ndarray:
+        self.log.close()
+        return LINK_SCHEMA.column(self.log.rows(), name)
+
+
+@pytest.mark.parametrize("direction", [UPLINK, DOWNLINK])
+def test_each_message_leaves_in_order_and_not_before_its_delay(direction: int) -> None:
+    bench = Bench(constant_profile("constant:10ms/15ms"))
+    sent = []
+    with bench.running():
+        for k in range(30):
+            sent.append(time.monotonic_ns())
+            bench.send(direction, k, sent_ns=sent[-1])
+            time.sleep(0.001)
+        forwarded = bench.outlets[direction].wait_for(30)
+    assert [sequence for sequence, _ in forwarded] == list(range(30))
+    delay_ns = (10 * MS, 15 * MS)[direction]
+    assert all(left - sent[k] >= delay_ns for k, left in forwarded)
+    assert bench.outlets[1 - direction].sent == 0
+
+
+def test_the_log_has_the_delay_that_each_message_had() -> None:
+    bench = Bench(constant_profile("constant:10ms/15ms"))
+    with bench.running():
+        for k in range(5):
+            bench.send(UPLINK, k, sent_ns=time.monotonic_ns())
+            bench.send(DOWNLINK, k, sent_ns=time.monotonic_ns())
+        for outlet in bench.outlets:
+            outlet.wait_for(5)
+    nominal, way = bench.column("nominal_ns"), bench.column("direction")
+    assert np.array_equal(nominal, np.where(way == UPLINK, 10 * MS, 15 * MS))
+    assert np.all(bench.column("achieved_ns") >= nominal)
+
+
+def test_a_message_due_before_the_one_waited_for_does_not_wait_with_it() -> None:
+    profile = DelayProfile("falling", np.array([[1000 * MS, MS]] * 2))
+    from_its_beginning = next(seed for seed in range(100) if profile.start_offset_ns(seed) == 0)
+    bench = Bench(profile, seed=from_its_beginning, keep_order=False)
+    start_ns = time.monotonic_ns()
+    with bench.running():
+        bench.send(UPLINK, 0, sent_ns=start_ns)
+        # Longer than the thread sleeps when it has nothing to wait for.
+        time.sleep(0.15)
+        bench.send(UPLINK, 1, sent_ns=start_ns + MS)
+        (first, left_ns), _ = bench.outlets[UPLINK].wait_for(2)
+    assert first == 1
+    assert left_ns < start_ns + 1000 * MS
+
+
+def test_a_message_that_came_late_leaves_at_once_and_keeps_its_place() -> None:
+    bench = Bench(constant_profile("constant:2ms/2ms"))
+    now_ns = time.monotonic_ns()
+    with bench.running():
+        for k in range(3):
+            bench.send(UPLINK, k, sent_ns=now_ns - 50 * MS + k)
+        forwarded = bench.outlets[UPLINK].wait_for(3)
+    assert [sequence for sequence, _ in forwarded] == [0, 1, 2]
+    assert np.all(bench.column("achieved_ns") >= 50 * MS)
+
+
+def test_the_stamp_of_another_machines_clock_is_not_believed() -> None:
+    bench = Bench(constant_profile("constant:10ms/10ms"))
+    arrived_ns = time.monotonic_ns()
+    with bench.running():
+        bench.send(UPLINK, 0, sent_ns=0, clock=CLOCK + 1)
+        ((_, left_ns),) = bench.outlets[UPLINK].wait_for(1)
+    assert left_ns - arrived_ns >= 10 * MS
+
+
+def test_what_the_profile_loses_is_logged_and_not_forwarded() -> None:
+    bench = Bench(DelayProfile("lossy", np.array([[LOST], [MS]])))
+    with bench.running():
+        bench.send(UPLINK, 0, sent_ns=time.monotonic_ns())
+        bench.send(DOWNLINK, 0, sent_ns=time.monotonic_ns())
+        bench.outlets[DOWNLINK].wait_for(1)
+    assert bench.outlets[UPLINK].sent == 0
+    achieved, way = bench.column("achieved_ns"), bench.column("direction")
+    assert np.all(achieved[way == UPLINK] == -1)
+    assert np.all(achieved[way == DOWNLINK] >= MS)
