@@ -10,6 +10,7 @@ from __future__ import annotations
 import shared.single_thread  # noqa: F401
 
 # isort: on
+import argparse
 import json
 import os
 import signal
@@ -36,7 +37,8 @@ def main() -> int:
         "--send-buffer",
         nargs="+",
         metavar="BYTES",
-        default=["default"],
+        type=_buffer,
+        default=[None],
         help="of the edge's socket; the kernel doubles it (default: ours)",
     )
     parser.add_argument("--duration", type=float, default=10.0, help="[s] (default %(default)s)")
@@ -57,10 +59,18 @@ def main() -> int:
                     "--controller",
                     arguments.controller,
                 ]
-                settings = "" if buffer == "default" else f"#so_sndbuf={int(buffer)}"
+                settings = "" if buffer is None else f"#so_sndbuf={buffer}"
                 row = _trial(machines.robot, machines.edge, Path(folder), settings, flags)
-            print(f"| {rate} | {buffer} | {row} |", flush=True)
+            print(f"| {rate} | {buffer or 'ours'} | {row} |", flush=True)
     return EXIT_STANDING
+
+
+def _buffer(text: str) -> int | None:
+    if text == "ours":
+        return None
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"expected a number of bytes or ours, got {text!r}")
+    return int(text)
 
 
 def _trial(robot: Machine, edge: Machine, folder: Path, settings: str, flags: list[str]) -> str:

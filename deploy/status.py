@@ -12,7 +12,13 @@ from shared.bus.base import Delivery
 from shared.report import SOURCES
 from shared.telemetry import Schema, decode_rows
 
-_COLOURS = {"edge": "\033[34m", "netem": "\033[33m", "robot": "\033[32m", "viewer": "\033[35m"}
+_COLOURS = {
+    "edge": "\033[34m",
+    "netem": "\033[33m",
+    "robot": "\033[32m",
+    "viewer": "\033[35m",
+    "router": "\033[36m",
+}
 _RESET, _CLEAR_LINE = "\033[0m", "\r\033[2K"
 _PLAIN_PERIOD_SECONDS = 1.0
 
