@@ -11,6 +11,7 @@ import shared.single_thread  # noqa: F401
 
 # isort: on
 import argparse
+import contextlib
 import json
 import os
 import signal
@@ -21,7 +22,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from deploy.namespaces import Machine, two_machines
+from deploy.namespaces import Machine, Machines, two_machines
 from shared.cli import EXIT_STANDING, Parser, run
 from shared.errors import LinkError
 from shared.report import versions
@@ -53,14 +54,13 @@ def main() -> int:
     for rate in arguments.rate:
         for buffer in arguments.send_buffer:
             with two_machines(rate=rate) as machines, tempfile.TemporaryDirectory() as folder:
-                flags = [
-                    "--duration",
-                    str(arguments.duration),
-                    "--controller",
-                    arguments.controller,
-                ]
-                settings = "" if buffer is None else f"#so_sndbuf={buffer}"
-                row = _trial(machines.robot, machines.edge, Path(folder), settings, flags)
+                row = _trial(
+                    machines,
+                    Path(folder),
+                    settings="" if buffer is None else f"#so_sndbuf={buffer}",
+                    duration=arguments.duration,
+                    controller=arguments.controller,
+                )
             print(f"| {rate} | {buffer or 'ours'} | {row} |", flush=True)
     return EXIT_STANDING
 
@@ -73,37 +73,28 @@ def _buffer(text: str) -> int | None:
     return int(text)
 
 
-def _trial(robot: Machine, edge: Machine, folder: Path, settings: str, flags: list[str]) -> str:
+def _trial(
+    machines: Machines, folder: Path, *, settings: str, duration: float, controller: str
+) -> str:
     """One run; age p50 and p99, and projectors sent, received and lost."""
-    endpoint = f"tcp/{edge.address}:{_PORT}"
+    endpoint = f"tcp/{machines.edge.address}:{_PORT}"
     there, here = folder / "edge", folder / "robot"
     serving = _start(
-        edge,
+        machines.edge,
         folder / "edge.txt",
-        "--only",
-        "edge",
-        "--listen",
-        endpoint + settings,
-        "--out",
-        str(there),
+        *("--only", "edge", "--listen", endpoint + settings, "--out", str(there)),
     )
     try:
         _wait_for_line(serving, folder / "edge.txt", "READY")
         moving = _start(
-            robot,
+            machines.robot,
             folder / "robot.txt",
-            "--only",
-            "robot",
-            "--edge",
-            endpoint,
-            "--push",
-            "none",
-            "--out",
-            str(here),
-            *flags,
+            *("--only", "robot", "--edge", endpoint, "--out", str(here), "--push", "none"),
+            *("--duration", str(duration), "--controller", controller),
         )
         try:
-            moving.wait(timeout=_READY_SECONDS + float(flags[1]))
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                moving.wait(timeout=_READY_SECONDS + 2.0 * duration)
         finally:
             _end(moving)
     finally:
