@@ -36,7 +36,7 @@ from typing import Any, BinaryIO
 import tomli_w
 
 from experiments.lockstep import Lockstep
-from experiments.studies import Study, Trial, read_study
+from experiments.study import Study, Trial, read_study
 from experiments.trial_table import row_of, table_in_words, write_trials
 from shared.cli import EXIT_STANDING
 from shared.config import RunConfig

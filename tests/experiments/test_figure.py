@@ -8,7 +8,7 @@ import pytest
 
 from experiments.corrections import run_corrections
 from experiments.figure import add_figure_arguments, run_figure
-from experiments.studies import read_study
+from experiments.study import read_study
 from experiments.sweep import sweep
 from shared.errors import ConfigError
 

@@ -13,7 +13,7 @@ import time
 
 import pytest
 
-from experiments.studies import SHIPPED, draw, read_study
+from experiments.study import SHIPPED, draw, read_study
 from experiments.sweep import sweep
 from experiments.trial_table import read_trials, table_in_words, wilson_interval
 from netem.networks import shipped_names

@@ -1,6 +1,6 @@
 """What a sweep plays: the cells of a study, each with the same seeds, as complete configurations.
 
-A study is a TOML file; those beside this file are known by name. Every key may be left out:
+A study is a TOML file; those in `configs/` are known by name. Every key may be left out:
 
     description = "one line"
     seeds = 50                      # every cell is played with the seeds 0 … 49
@@ -54,7 +54,7 @@ if sys.version_info >= (3, 11):
 else:  # pragma: no cover
     import tomli as tomllib
 
-SHIPPED = Path(__file__).parent
+SHIPPED = Path(__file__).parent / "configs"
 PROFILES = "profiles:"
 DEFAULT_SEEDS = 20
 # No times of this machine among them: a study played twice has equal tables.
