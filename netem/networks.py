@@ -1,21 +1,25 @@
-"""What `--network` may name: a shipped profile, a file, a constant delay, a capacity."""
+"""What `--network` may name: a profile (shipped, generated, a file), a constant delay, a link."""
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import re
 from pathlib import Path
 
 import numpy as np
 
 from netem.capacity import CapacityProfile, capacity_of
+from netem.generator.channel import SCENARIOS
+from netem.generator.generate import generate_profile
 from netem.profile import DelayProfile
 from netem.profile_file import is_file, read_profile
 from shared.errors import ConfigError, ProfileError
 from shared.quantities import parse_duration_ns
 
 SHIPPED = Path(__file__).parent / "profiles"
-
-
 CAPACITY = "capacity:"
+GENERATED = "generated:"
 Profile = DelayProfile | CapacityProfile
 
 
@@ -26,9 +30,11 @@ def load_network(network: str) -> Profile:
 
 
 def load_profile(network: str) -> DelayProfile:
-    """A profile by shipped name (`factory/001`), file (.npz or .csv) or `constant:…`."""
+    """A profile: a shipped one (`factory/001`), a file, `constant:…` or `generated:…`."""
     if network.startswith("constant:"):
         return constant_profile(network)
+    if network.startswith(GENERATED):
+        return generated_profile(network)
     shipped, path = SHIPPED / f"{network}.npz", Path(network)
     if is_file(shipped):
         return read_profile(shipped, name=network)
@@ -37,7 +43,8 @@ def load_profile(network: str) -> DelayProfile:
     examples = ", ".join(sorted({name.split("/")[0] + "/001" for name in shipped_names()}))
     raise ProfileError(
         f"network: expected a shipped profile ({examples}, …), a .npz or .csv file, constant:30ms, "
-        f"capacity: before any of these, or direct, got {network!r}: no such profile or file"
+        f"generated:factory/7, capacity: before any of these, or direct, got {network!r}: no such "
+        "profile or file"
     )
 
 
@@ -60,3 +67,15 @@ def constant_profile(network: str) -> DelayProfile:
     if len(parts) != 2:
         raise ProfileError(f"network {network!r}: expected constant:30ms or constant:10ms/20ms")
     return DelayProfile(name=network, delays_ns=np.array(parts, dtype=np.int64).reshape(2, 1))
+
+
+@functools.lru_cache(maxsize=256)
+def generated_profile(network: str) -> DelayProfile:
+    """`generated:SCENARIO/SEED`: what `netem generate` makes of that seed, without a file."""
+    scenarios = "|".join(SCENARIOS)
+    found = re.fullmatch(f"{GENERATED}({scenarios})/(0|[1-9][0-9]{{0,8}})", network)
+    if found is None:
+        examples = " or ".join(f"{GENERATED}{name}/7" for name in SCENARIOS)
+        raise ProfileError(f"network {network!r}: expected a scenario and a seed as in {examples}")
+    profile = generate_profile(SCENARIOS[found[1]], int(found[2]))
+    return dataclasses.replace(profile, name=network)

@@ -59,8 +59,8 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--network",
         help="a shipped profile (factory/003), a .npz or .csv file, constant:ROUND_TRIP "
-        "(constant:30ms), constant:UP/DOWN; capacity: before any of them replays the link behind "
-        "it; or direct",
+        "(constant:30ms), constant:UP/DOWN, generated:factory/SEED; capacity: before any of them "
+        "replays the link behind it; or direct",
     )
     group.add_argument("--duration", type=float, help="seconds of simulated time")
     group.add_argument("--seed", type=int, help="of noise, loss and the profile's starting point")
