@@ -113,10 +113,10 @@ class DelayLine(Generic[Item]):
         """When the next message is due [ns]; None if the line is empty."""
         return self._heap[0][0] if self._heap else None
 
-    def pop_due(self, now_ns: int) -> list[Due[Item]]:
-        """Messages due by `now_ns`, in the order they are due."""
-        due = []
-        while self._heap and self._heap[0][0] <= now_ns:
+    def pop_due(self, now_ns: int, *, limit: int | None = None) -> list[Due[Item]]:
+        """Messages due by `now_ns`, in the order they are due; `limit` of them at most."""
+        due: list[Due[Item]] = []
+        while self._heap and self._heap[0][0] <= now_ns and len(due) != limit:
             due.append(heapq.heappop(self._heap)[2])
         return due
 

@@ -16,9 +16,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from netem.delay_line import DelayLine
+from shared.errors import LinkError
 
-# Packets taken in before the next look at what is due: a burst in one direction must not hold the
-# other back for long.
+# Packets of a direction taken in, and let out, before the other's turn: a burst one way must not
+# hold the other back for long.
 _BATCH = 32
 _IDLE_SECONDS = 0.1
 
@@ -71,12 +72,17 @@ class Way:
         self._held_bytes = 0
 
     def take(self) -> None:
-        """Take in what has been sent, at most a batch."""
+        """Take in what has been sent, at most a batch; `LinkError` if the device is gone."""
         for _ in range(_BATCH):
             try:
                 packet = os.read(self.source, self._packet_bytes)
             except BlockingIOError:
                 return
+            except OSError as error:
+                raise LinkError(
+                    f"cannot read from a TUN device: {error.strerror}; its namespace must stay "
+                    "until this has ended"
+                ) from None
             now_ns, size = time.monotonic_ns(), len(packet)
             self.packets += 1
             self.bytes += size
@@ -86,8 +92,8 @@ class Way:
                 self._held_bytes += size
 
     def release(self) -> None:
-        """Let out what is due."""
-        for due in self.line.pop_due(time.monotonic_ns()):
+        """Let out what is due, at most a batch."""
+        for due in self.line.pop_due(time.monotonic_ns(), limit=_BATCH):
             self._held_bytes -= len(due.item)
             try:
                 os.write(self._target, due.item)
@@ -97,11 +103,12 @@ class Way:
             self.lateness.add(time.monotonic_ns() - due.sent_ns - due.nominal_ns)
 
 
-def wait_for_packet(sources: Sequence[int], *, stopping: Callable[[], bool]) -> int:
-    """When the first packet could be read at one of the descriptors [ns], or `stopping()`."""
-    while not stopping() and not select.select(sources, (), (), _IDLE_SECONDS)[0]:
-        pass
-    return time.monotonic_ns()
+def wait_for_packet(sources: Sequence[int], *, stopping: Callable[[], bool]) -> int | None:
+    """When the first packet could be read at one of the descriptors [ns]; None if `stopping()`."""
+    while not stopping():
+        if select.select(sources, (), (), _IDLE_SECONDS)[0]:
+            return time.monotonic_ns()
+    return None
 
 
 def pump(ways: Sequence[Way], *, stopping: Callable[[], bool]) -> None:

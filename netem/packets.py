@@ -11,11 +11,12 @@ import argparse
 import dataclasses
 
 from netem.delay_line import make_lines
-from netem.networks import load_network
+from netem.link_options import add_link_arguments, link_config_from
+from netem.networks import Profile, load_network
 from netem.packet_pump import Way, pump, wait_for_packet
 from netem.profile import DIRECTIONS
 from netem.tun import MAX_MTU, MIN_MTU, End, NamespacePair
-from shared.cli import EXIT_STANDING, add_run_arguments, config_from
+from shared.cli import EXIT_STANDING
 from shared.config import RunConfig
 from shared.errors import ConfigError
 from shared.realtime import prepare, suspend_garbage_collection
@@ -28,7 +29,6 @@ _PORT = 7460
 
 def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `packets`."""
-    parser.add_argument("profile", nargs="?", metavar="NETWORK", help="the same as --network")
     parser.add_argument(
         "--robot-ns", metavar="NAME", default="wbc-robot", help="(default %(default)s)"
     )
@@ -42,7 +42,7 @@ def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
         default=1500,
         help="largest packet (default %(default)s); a larger one means fewer packets to move",
     )
-    add_run_arguments(parser)
+    add_link_arguments(parser)
 
 
 def run_packets(arguments: argparse.Namespace) -> int:
@@ -65,50 +65,49 @@ def run_packets(arguments: argparse.Namespace) -> int:
             f"  robot: ip netns exec {robot.namespace} python -m robot_node --connect {endpoint}",
             flush=True,
         )
-        ways = _move(config, robot, edge, packet_bytes=arguments.mtu, stop=stop)
-        missed = pair.dropped()
-    for name, way, unread in zip(DIRECTIONS, ways, missed, strict=False):
-        print(_summary(name, way, unread))
+        ways = _move(profile, config, (robot, edge), mtu=arguments.mtu, stop=stop)
+        unread = pair.dropped()
+    if not ways:
+        print("no packet was sent")
+    for name, way, count in zip(DIRECTIONS, ways, unread, strict=False):
+        print(_summary(name, way, count))
     return EXIT_STANDING
 
 
 def _config(arguments: argparse.Namespace) -> RunConfig:
-    if arguments.profile is not None:
-        if arguments.network is not None:
-            raise ConfigError(
-                f"network: expected once, got {arguments.profile!r} and {arguments.network!r}"
-            )
-        arguments.network = arguments.profile
     if not MIN_MTU <= arguments.mtu <= MAX_MTU:
         raise ConfigError(f"--mtu: expected {MIN_MTU} to {MAX_MTU}, got {arguments.mtu}")
     if arguments.robot_ns == arguments.edge_ns:
         raise ConfigError(f"--edge-ns: expected another name than --robot-ns, {arguments.edge_ns}")
-    config = config_from(arguments)
-    if config.link.network == "direct":
-        raise ConfigError("network: direct means no link to emulate; try constant:0ms")
-    # Least sizes are those of messages.
+    config = link_config_from(arguments, direct="direct means no link to emulate; try constant:0ms")
+    # What a message is to count as says nothing of a packet.
     link = dataclasses.replace(config.link, uplink_bytes=0, downlink_bytes=0)
     return dataclasses.replace(config, link=link)
 
 
 def _move(
-    config: RunConfig, robot: End, edge: End, *, packet_bytes: int, stop: StopSignal
+    profile: Profile, config: RunConfig, ends: tuple[End, End], *, mtu: int, stop: StopSignal
 ) -> list[Way]:
-    """Move packets until a signal; the profile begins with the first one."""
-    profile = load_network(config.link.network)
-    start_ns = wait_for_packet((robot.descriptor, edge.descriptor), stopping=lambda: stop.requested)
-    lines = make_lines(profile, config.link, seed=config.seed, start_ns=start_ns)
+    """Move packets until a signal, uplink and downlink; none if none was sent.
+
+    The profile begins with the first packet.
+    """
+    sources = [end.descriptor for end in ends]
+    start_ns = wait_for_packet(sources, stopping=lambda: stop.requested)
+    if start_ns is None:
+        return []
     offset = profile.start_offset_ns(config.seed) * 1e-9
     print(f"replaying {profile.name} from {offset:.3f} s", flush=True)
+    lines = make_lines(profile, config.link, seed=config.seed, start_ns=start_ns)
     ways = [
         Way(
             line,
-            source=source.descriptor,
-            target=target.descriptor,
+            source=source,
+            target=target,
             queue_bytes=config.link.queue_bytes,
-            packet_bytes=packet_bytes,
+            packet_bytes=mtu,
         )
-        for line, source, target in zip(lines, (robot, edge), (edge, robot), strict=True)
+        for line, source, target in zip(lines, sources, reversed(sources), strict=True)
     ]
     pump(ways, stopping=lambda: stop.requested)
     return ways

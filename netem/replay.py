@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import argparse
 
+from netem.link_options import add_link_arguments, link_config_from
 from netem.networks import load_network
 from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
 from netem.shim import Shim, Sides
 from shared.bus.security import NETEM
 from shared.bus.zenoh_bus import ZenohBus, machine_clock
-from shared.cli import EXIT_STANDING, add_run_arguments, config_from
-from shared.errors import ConfigError
+from shared.cli import EXIT_STANDING
 from shared.realtime import prepare, suspend_garbage_collection
 from shared.report import link_report
 from shared.service import (
@@ -34,7 +34,6 @@ _PRIORITY = 20
 
 def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `replay`."""
-    parser.add_argument("profile", nargs="?", metavar="NETWORK", help="the same as --network")
     parser.add_argument(
         "--listen",
         metavar="ENDPOINT",
@@ -48,20 +47,14 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         help="edge side (default %(default)s)",
     )
     add_service_arguments(parser)
-    add_run_arguments(parser)
+    add_link_arguments(parser)
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
     """Stand between robot and edge until a signal; 0."""
-    if arguments.profile is not None:
-        if arguments.network is not None:
-            raise ConfigError(
-                f"network: expected once, got {arguments.profile!r} and {arguments.network!r}"
-            )
-        arguments.network = arguments.profile
-    config = config_from(arguments)
-    if config.link.network == "direct":
-        raise ConfigError("network: direct means no shim at all; the robot dials the edge itself")
+    config = link_config_from(
+        arguments, direct="direct means no shim at all; the robot dials the edge itself"
+    )
     profile = load_network(config.link.network)
     stop = StopSignal()
     me = identity_from(arguments, role=NETEM, kind=config.robot.name)
@@ -89,7 +82,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
         config.link,
         seed=config.seed,
         sides=sides,
-        log=log.rows,
+        row=log.row,
         clock=machine_clock(),
         say=lambda text: print(text, flush=True),
     )
@@ -105,5 +98,9 @@ def run_replay(arguments: argparse.Namespace) -> int:
     near.close()
     far.close()
     log.finish(lambda rows: link_report(rows, profile=profile.name, passes=shim.passes))
-    print(f"stopped: {sides.uplink.sent} up, {sides.downlink.sent} down", flush=True)
+    print(
+        f"stopped: {sides.uplink.sent} up, {sides.downlink.sent} down, {shim.under_way} still "
+        "under way",
+        flush=True,
+    )
     return EXIT_STANDING

@@ -2,7 +2,8 @@
 
 Messages come in on the buses' threads and go out on one releasing thread, which sleeps until just
 before the next one is due. A message is due a nominal delay after it was *sent* if sender and shim
-read the same clock, else after it arrived. Payloads are opaque.
+read the same clock, else after it arrived. Payloads are opaque. What is under way takes bounded
+memory.
 """
 
 from __future__ import annotations
@@ -18,12 +19,17 @@ from netem.delay_line import DelayLine, Due, make_lines
 from netem.networks import Profile
 from shared.bus.base import Delivery, Publisher
 from shared.config import LinkConfig
-from shared.telemetry import LINK_SCHEMA, RowLog
+from shared.telemetry import LINK_SCHEMA
 
 _IDLE_SECONDS = 0.1
 # A sleeping thread wakes some 60 µs late; that much is spun. More is taken from the edge
 # (`docs/timing.md`).
 _SPIN_NS = 80_000
+# Messages of each direction released before the next look at what is due: at an outage's end
+# hundreds leave in one direction, which must not hold the other back.
+_BATCH = 4
+# Under way at a time: 26 s of both directions in full. More is lost rather than held.
+_MAX_BYTES = 2**30
 # A constant profile is one period long; that it begins again is no news.
 _CONSTANT_SECONDS = 0.01
 
@@ -37,7 +43,11 @@ class Sides:
 
 
 class Shim:
-    """Delays messages both ways. `receive` is given to the buses, `run` to a thread."""
+    """Delays messages both ways. `receive` is given to the buses, `run` to a thread.
+
+    `row` gives the next row of `LINK_SCHEMA` to fill. `clock` names the clock of this machine as
+    envelopes do; 0 is none, and believes no stamp.
+    """
 
     def __init__(
         self,
@@ -46,7 +56,7 @@ class Shim:
         *,
         seed: int,
         sides: Sides,
-        log: RowLog,
+        row: Callable[[], np.ndarray],
         clock: int,
         say: Callable[[str], None],
     ) -> None:
@@ -54,29 +64,38 @@ class Shim:
         self._config = config
         self._seed = seed
         self._publishers = (sides.uplink, sides.downlink)
-        self._log = log
+        self._row = row
         self._clock = clock
         self._say = say
         self._lines: list[DelayLine[Delivery]] = []
         self._changed = threading.Condition()
+        self._held_bytes = 0
+        self._overflowed = False
         self.passes = 0
+
+    @property
+    def under_way(self) -> int:
+        """How many messages wait to be released."""
+        return sum(len(line) for line in self._lines)
 
     def receive(self, direction: int) -> Callable[[Delivery], None]:
         """What takes in the messages of one direction."""
 
         def take(delivery: Delivery) -> None:
-            envelope = delivery.envelope
-            same_clock = envelope is not None and envelope.clock == self._clock
-            sent_ns = envelope.sent_ns if envelope and same_clock else time.monotonic_ns()
+            sent_ns = self._sent_ns(delivery)
             with self._changed:
                 if not self._lines:
                     self._start(sent_ns)
                 line = self._lines[direction]
-                due_ns = line.push(delivery, sent_ns=sent_ns, size=len(delivery.data))
+                due_ns = None
+                if self._has_room(delivery):
+                    due_ns = line.push(delivery, sent_ns=sent_ns, size=len(delivery.data))
                 if due_ns is None:
                     lost = Due(delivery, sent_ns, 0)
-                    record_message(self._log.row(), direction, lost, released_ns=None)
-                elif line.next_due_ns == due_ns:
+                    record_message(self._row(), direction, lost, released_ns=None)
+                    return
+                self._held_bytes += len(delivery.data)
+                if line.next_due_ns == due_ns:
                     self._changed.notify()
 
         return take
@@ -87,9 +106,26 @@ class Shim:
             if self._wait_for_work():
                 self._release()
 
-    def _start(self, now_ns: int) -> None:
+    def _sent_ns(self, delivery: Delivery) -> int:
+        """When it was sent by its stamp, or else when it came: now."""
+        now_ns, envelope = time.monotonic_ns(), delivery.envelope
+        if envelope is None or envelope.clock != self._clock or self._clock == 0:
+            return now_ns
+        # A stamp of the future is wrong, and in order of sending all others would wait behind it.
+        return min(envelope.sent_ns, now_ns)
+
+    def _has_room(self, delivery: Delivery) -> bool:
+        """Whether one more message may be held; says so the first time that it may not."""
+        if self._held_bytes + len(delivery.data) <= _MAX_BYTES:
+            return True
+        if not self._overflowed:
+            self._overflowed = True
+            self._say(f"{_MAX_BYTES >> 20} MiB are under way: what finds no room is lost")
+        return False
+
+    def _start(self, start_ns: int) -> None:
         """The profile begins with the first message."""
-        self._lines = make_lines(self._profile, self._config, seed=self._seed, start_ns=now_ns)
+        self._lines = make_lines(self._profile, self._config, seed=self._seed, start_ns=start_ns)
         offset_ns = self._profile.start_offset_ns(self._seed)
         self._say(f"replaying {self._profile.name} from {offset_ns * 1e-9:.3f} s")
 
@@ -103,7 +139,8 @@ class Shim:
             due_ns = min(due)
             sleep_ns = due_ns - time.monotonic_ns() - _SPIN_NS
             if sleep_ns > 0:
-                self._changed.wait(sleep_ns * 1e-9)
+                # Not for all of a long outage: we may have to stop.
+                self._changed.wait(min(sleep_ns * 1e-9, _IDLE_SECONDS))
                 return False
         # Without the lock: messages come in meanwhile.
         while time.monotonic_ns() < due_ns:
@@ -113,7 +150,7 @@ class Shim:
     def _release(self) -> None:
         with self._changed:
             now_ns = time.monotonic_ns()
-            ready = [line.pop_due(now_ns) for line in self._lines]
+            ready = [line.pop_due(now_ns, limit=_BATCH) for line in self._lines]
             passes = self._lines[0].passes(now_ns)
         released = []
         for direction, messages in enumerate(ready):
@@ -122,7 +159,8 @@ class Shim:
                 released.append((direction, due, time.monotonic_ns()))
         with self._changed:
             for direction, due, released_ns in released:
-                record_message(self._log.row(), direction, due, released_ns=released_ns)
+                self._held_bytes -= len(due.item.data)
+                record_message(self._row(), direction, due, released_ns=released_ns)
         if passes > self.passes:
             self.passes = passes
             seconds = self._profile.duration_ns * 1e-9

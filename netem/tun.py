@@ -8,12 +8,15 @@ killed run only the names of the namespaces remain.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import fcntl
 import json
 import os
 import shutil
 import struct
 import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -25,6 +28,7 @@ ROBOT_ADDRESS, EDGE_ADDRESS = "10.77.0.1", "10.77.0.2"
 DEVICE = "link0"
 _PREFIX = 30
 _TUN = Path("/dev/net/tun")
+_MODULE = f"try `modprobe tun`, or in a container --device {_TUN}"
 # linux/if_tun.h: a layer-3 device, packets without a header of the driver's own.
 _TUNSETIFF, _IFF_TUN, _IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 _IFREQ = struct.Struct("16sH22x")
@@ -44,12 +48,14 @@ class End:
 
 def why_not_permitted() -> str | None:
     """What is missing for a pair of namespaces; None if nothing is seen to be."""
-    if not _TUN.exists():
-        return f"no {_TUN}: try `modprobe tun`, or in a container --device {_TUN}"
-    if shutil.which("ip") is None:
-        return "no `ip` command: install iproute2"
+    if sys.platform != "linux":
+        return f"network namespaces and TUN devices need Linux, this is {sys.platform}"
     if os.geteuid() != 0:
         return "network namespaces and TUN devices need root: try sudo"
+    if shutil.which("ip") is None:
+        return "no `ip` command: install iproute2"
+    if not _TUN.exists():
+        return f"no {_TUN}: {_MODULE}"
     return None
 
 
@@ -123,7 +129,9 @@ class NamespacePair:
         for descriptor in self._descriptors:
             os.close(descriptor)
         for name in self._made:
-            subprocess.run(["ip", "netns", "del", name], check=False, capture_output=True)
+            # Whoever removed it before us has done what we want.
+            with contextlib.suppress(LinkError):
+                _ip("netns", "del", name)
         self._descriptors, self._made = [], []
 
 
@@ -142,7 +150,8 @@ def _open_tun() -> tuple[int, str]:
     except OSError as error:
         if descriptor >= 0:
             os.close(descriptor)
-        raise LinkError(f"cannot make a TUN device: {error.strerror}; is this root?") from None
+        remedy = _MODULE if error.errno in (errno.ENODEV, errno.ENXIO) else "needs CAP_NET_ADMIN"
+        raise LinkError(f"cannot make a TUN device: {error.strerror}; {remedy}") from None
     return descriptor, answer[:16].rstrip(b"\0").decode()
 
 
@@ -156,8 +165,13 @@ def _transmit_drops(namespace: str) -> int:
 
 def _ip(*arguments: str) -> str:
     """Output of `ip …`; `LinkError` with what it says if it fails."""
-    done = subprocess.run(["ip", *arguments], check=False, capture_output=True, text=True)
+    # In a session of its own: Ctrl-C at the terminal must not end it halfway.
+    done = subprocess.run(
+        ["ip", *arguments], check=False, capture_output=True, text=True, start_new_session=True
+    )
     if done.returncode != 0:
         said = (done.stderr.strip() or "no reason given").splitlines()[-1]
-        raise LinkError(f"ip {' '.join(arguments)}: {said}; is this root, with CAP_SYS_ADMIN?")
+        denied = "permitted" in said or "denied" in said
+        remedy = "; in a container it needs CAP_SYS_ADMIN and CAP_NET_ADMIN" if denied else ""
+        raise LinkError(f"ip {' '.join(arguments)}: {said}{remedy}")
     return done.stdout

@@ -132,6 +132,14 @@ def test_a_message_leaves_at_its_due_time_and_not_a_nanosecond_before():
     assert [due.item for due in line.pop_due(5 * MS)] == ["x"]
 
 
+def test_no_more_leave_than_are_asked_for_and_the_rest_stays_in_order():
+    line = make_line([5 * MS])
+    for k in range(5):
+        line.push(k, sent_ns=0)
+    released = [[due.item for due in line.pop_due(5 * MS, limit=2)] for _ in range(3)]
+    assert released == [[0, 1], [2, 3], [4]]
+
+
 def test_messages_without_an_order_of_their_own_can_be_held():
     line = make_line([5 * MS])
     for _ in range(2):

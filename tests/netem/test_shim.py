@@ -22,10 +22,12 @@ CLOCK = 7
 
 
 class Outlet:
-    """Notes what is forwarded and when."""
+    """Notes what is forwarded and when, and its direction in a list shared with the other."""
 
-    def __init__(self) -> None:
+    def __init__(self, direction: int, turns: list[int]) -> None:
         self.sent = 0
+        self._direction = direction
+        self._turns = turns
         self.forwarded: list[tuple[int, int]] = []
 
     def publish(self, data: bytes) -> None:
@@ -34,6 +36,7 @@ class Outlet:
     def forward(self, delivery: Delivery) -> None:
         assert delivery.envelope is not None
         self.forwarded.append((delivery.envelope.sequence, time.monotonic_ns()))
+        self._turns.append(self._direction)
         self.sent += 1
 
     def wait_for(self, count: int) -> list[tuple[int, int]]:
@@ -47,17 +50,26 @@ class Outlet:
 class Bench:
     """A shim at work between two outlets."""
 
-    def __init__(self, profile: DelayProfile, *, seed: int = 0, keep_order: bool = True) -> None:
+    def __init__(
+        self,
+        profile: DelayProfile,
+        *,
+        seed: int = 0,
+        keep_order: bool = True,
+        clock: int = CLOCK,
+    ) -> None:
         self.log = RowLog(LINK_SCHEMA)
-        self.outlets = (Outlet(), Outlet())
+        self.turns: list[int] = []
+        self.said: list[str] = []
+        self.outlets = (Outlet(UPLINK, self.turns), Outlet(DOWNLINK, self.turns))
         self.shim = Shim(
             profile,
             LinkConfig(keep_order=keep_order),
             seed=seed,
             sides=Sides(*self.outlets),
-            log=self.log,
-            clock=CLOCK,
-            say=lambda text: None,
+            row=self.log.row,
+            clock=clock,
+            say=self.said.append,
         )
 
     def send(self, direction: int, sequence: int, *, sent_ns: int, clock: int = CLOCK) -> None:
@@ -142,6 +154,72 @@ def test_the_stamp_of_another_machines_clock_is_not_believed() -> None:
         bench.send(UPLINK, 0, sent_ns=0, clock=CLOCK + 1)
         ((_, left_ns),) = bench.outlets[UPLINK].wait_for(1)
     assert left_ns - arrived_ns >= 10 * MS
+
+
+def test_where_no_clock_has_a_name_no_stamp_is_believed() -> None:
+    bench = Bench(constant_profile("constant:10ms/10ms"), clock=0)
+    arrived_ns = time.monotonic_ns()
+    with bench.running():
+        bench.send(UPLINK, 0, sent_ns=0, clock=0)
+        ((_, left_ns),) = bench.outlets[UPLINK].wait_for(1)
+    assert left_ns - arrived_ns >= 10 * MS
+
+
+def test_a_stamp_of_the_future_holds_nothing_up() -> None:
+    bench = Bench(constant_profile("constant:1ms/1ms"))
+    with bench.running():
+        bench.send(UPLINK, 0, sent_ns=time.monotonic_ns() + 3600 * 1000 * MS)
+        bench.send(UPLINK, 1, sent_ns=time.monotonic_ns())
+        forwarded = bench.outlets[UPLINK].wait_for(2)
+    assert [sequence for sequence, _ in forwarded] == [0, 1]
+
+
+def test_a_burst_one_way_does_not_hold_the_other_back() -> None:
+    bench = Bench(constant_profile("constant:1ms/1ms"))
+    long_ago_ns = time.monotonic_ns() - 50 * MS
+    for k in range(300):
+        bench.send(UPLINK, k, sent_ns=long_ago_ns)
+    bench.send(DOWNLINK, 0, sent_ns=long_ago_ns)
+    with bench.running():
+        bench.outlets[UPLINK].wait_for(300)
+    # A few of the other's at most before it.
+    assert bench.turns.index(DOWNLINK) < 10
+
+
+def test_it_can_be_stopped_in_the_middle_of_a_long_delay() -> None:
+    bench = Bench(constant_profile("constant:60s/60s"))
+    stopping = threading.Event()
+    thread = threading.Thread(target=bench.shim.run, args=(stopping.is_set,), daemon=True)
+    bench.send(UPLINK, 0, sent_ns=time.monotonic_ns())
+    thread.start()
+    # It sleeps until its message is due.
+    time.sleep(0.2)
+    stopping.set()
+    thread.join(timeout=30.0)
+    assert not thread.is_alive()
+    assert bench.shim.under_way == 1
+
+
+def test_what_is_under_way_is_bounded_and_said_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("netem.shim._MAX_BYTES", 3)
+    bench = Bench(constant_profile("constant:50ms/50ms"))
+    now_ns = time.monotonic_ns()
+    # A byte each.
+    for k in range(5):
+        bench.send(k % 2, k, sent_ns=now_ns)
+    with bench.running():
+        bench.outlets[UPLINK].wait_for(2)
+        bench.outlets[DOWNLINK].wait_for(1)
+        # There is room again once they have left; what was forwarded is about to be taken off.
+        deadline = time.monotonic() + 30.0
+        while bench.shim.under_way and time.monotonic() < deadline:
+            time.sleep(0.001)
+        time.sleep(0.05)
+        bench.send(UPLINK, 5, sent_ns=time.monotonic_ns())
+        bench.outlets[UPLINK].wait_for(3)
+    assert sum("finds no room" in line for line in bench.said) == 1
+    sequence, achieved = bench.column("sequence"), bench.column("achieved_ns")
+    assert set(sequence[achieved == -1]) == {3, 4}
 
 
 def test_what_the_profile_loses_is_logged_and_not_forwarded() -> None:

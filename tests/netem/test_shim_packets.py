@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 import time
@@ -14,9 +15,10 @@ import pytest
 
 from netem.delay_line import make_lines
 from netem.networks import load_network
-from netem.packet_pump import Lateness, Way, pump
+from netem.packet_pump import Lateness, Way, pump, wait_for_packet
 from netem.profile import DOWNLINK, UPLINK
 from shared.config import LinkConfig
+from shared.errors import LinkError
 
 MS = 1_000_000
 ROOM = 1 << 20
@@ -52,8 +54,11 @@ class Ends:
         finally:
             done.set()
             thread.join()
-            for each in (*self.ends, *self._tuns):
-                each.close()
+            self.close()
+
+    def close(self) -> None:
+        for each in (*self.ends, *self._tuns):
+            each.close()
 
 
 @pytest.mark.parametrize(("direction", "delay_ns"), [(UPLINK, 10 * MS), (DOWNLINK, 25 * MS)])
@@ -118,6 +123,39 @@ def test_an_end_that_takes_nothing_loses_packets_and_nothing_else() -> None:
         while not link.ways[UPLINK].refused and time.monotonic() < deadline:
             time.sleep(0.001)
     assert link.ways[UPLINK].refused == 1
+
+
+def test_a_burst_one_way_does_not_hold_the_other_back() -> None:
+    link = Ends("constant:1ms")
+    now_ns = time.monotonic_ns()
+    for way, count in zip(link.ways, (100, 1), strict=True):
+        for _ in range(count):
+            way.line.push(b"x", sent_ns=now_ns - 50 * MS)
+    link.ways[UPLINK].release()
+    # It is the other's turn before all have left.
+    assert 0 < len(link.ways[UPLINK].line) < 100
+    link.close()
+
+
+def test_a_device_that_is_gone_is_said_to_be() -> None:
+    link = Ends("constant:1ms")
+    with open(os.devnull, "wb") as unreadable:
+        link.ways[UPLINK].source = unreadable.fileno()
+        with pytest.raises(LinkError, match="cannot read from a TUN device"):
+            link.ways[UPLINK].take()
+    link.close()
+
+
+def test_a_link_that_is_stopped_before_its_first_packet_has_no_beginning() -> None:
+    link = Ends("constant:1ms")
+    sources = [way.source for way in link.ways]
+    assert wait_for_packet(sources, stopping=lambda: True) is None
+    link.ends[0].send(b"x")
+    before_ns = time.monotonic_ns()
+    start_ns = wait_for_packet(sources, stopping=lambda: False)
+    assert start_ns is not None
+    assert start_ns >= before_ns
+    link.close()
 
 
 def test_quantiles_of_lateness_are_those_of_the_samples_to_a_bin() -> None:

@@ -1,0 +1,29 @@
+"""What `replay` and `packets` share on the command line: which link to emulate."""
+
+from __future__ import annotations
+
+import argparse
+
+from shared.cli import add_run_arguments, config_from
+from shared.config import RunConfig
+from shared.errors import ConfigError
+
+
+def add_link_arguments(parser: argparse.ArgumentParser) -> None:
+    """The network, by its place or as `--network`, and the options of a run."""
+    parser.add_argument("profile", nargs="?", metavar="NETWORK", help="the same as --network")
+    add_run_arguments(parser)
+
+
+def link_config_from(arguments: argparse.Namespace, *, direct: str) -> RunConfig:
+    """The run that the arguments describe; `direct` tells whoever names that network what to do."""
+    if arguments.profile is not None:
+        if arguments.network is not None:
+            raise ConfigError(
+                f"network: expected once, got {arguments.profile!r} and {arguments.network!r}"
+            )
+        arguments.network = arguments.profile
+    config = config_from(arguments)
+    if config.link.network == "direct":
+        raise ConfigError(f"network: {direct}")
+    return config
