@@ -26,7 +26,8 @@ from robot_node.onboard import (
     OnBoardWindow,
     on_board_solve,
 )
-from robot_node.plant import Plant
+from robot_node.plant import MujocoPlant, Plant
+from robot_node.rigid_plant import RigidPlant
 from robot_node.safety import JointHold, RungChange, TorqueGuard, has_fallen
 from robot_node.sensors import Sensors
 from shared.bus.base import new_session
@@ -86,7 +87,7 @@ class RobotNode:
         self._config = config
         self._motion = motion
         self._pushes = [parse_push(push) for push in config.push]
-        self._plant = Plant(robot, config.plant, timestep=config.loop.period_ns * 1e-9)
+        self._plant = self._make_plant(robot)
         self._sensors = Sensors(config.sensors, seed=config.seed)
         self._model = WholeBodyModel(robot)
         self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
@@ -274,6 +275,12 @@ class RobotNode:
             stack.support_foot, self._q, self._v, y[: self._model.nv]
         )
         return stack.contact_violation(velocity, acceleration)
+
+    def _make_plant(self, robot: Robot) -> Plant:
+        timestep = self._config.loop.period_ns * 1e-9
+        if self._config.plant.kind == "rigid":
+            return RigidPlant(robot, timestep=timestep)
+        return MujocoPlant(robot, self._config.plant, timestep=timestep)
 
     def _make_on_board(self, computer: OnBoardComputer) -> OnBoard:
         controller = self._controller

@@ -1,10 +1,12 @@
-"""The simulated robot: the only place that calls MuJoCo, and the only one that converts to it.
+"""The robot simulated in MuJoCo: the only file that calls it, and the only one that converts to it.
 
 MuJoCo's free joint has its linear velocity in the world frame and its quaternion scalar-first;
 Pinocchio's has the velocity in the base frame and the quaternion scalar-last.
 """
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -15,7 +17,23 @@ from shared.config import PlantConfig
 from shared.robots import Robot
 
 
-class Plant:
+class Plant(Protocol):
+    """A robot whose state is known and that can be moved on by one timestep."""
+
+    def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Put the robot at (q, v)."""
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """True (q, v), shapes (nq,) and (nv,), in Pinocchio's convention."""
+
+    def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
+        """One timestep under joint torques (nv − 6,) [N m] and a force on the base [N], world.
+
+        The force acts at the centre of mass of the base body.
+        """
+
+
+class MujocoPlant:
     """MuJoCo simulation of one robot on a floor; states go in and out in Pinocchio's convention."""
 
     def __init__(self, robot: Robot, config: PlantConfig, *, timestep: float = 1e-3) -> None:
@@ -38,10 +56,7 @@ class Plant:
         return from_mujoco(self.data.qpos, self.data.qvel)
 
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
-        """One timestep under joint torques (nv − 6,) [N m] and a force on the base [N], world.
-
-        The force acts at the centre of mass of the base body.
-        """
+        """One timestep under joint torques and a push, as in `Plant`."""
         self.data.ctrl[:] = tau
         self.data.xfrc_applied[self._base, :3] = push
         mujoco.mj_step(self.model, self.data)

@@ -17,6 +17,7 @@ TASKS = ("balance", "walk")
 CONTROLLERS = ("la", "lc", "pr")
 CORRECTION_LEVELS = ("b", "b_adjoint", "c")
 COM_PLANS = ("dcm", "mpc")
+PLANTS = ("mujoco", "rigid")
 VIEWS = ("auto", "native", "web", "off")
 
 
@@ -72,8 +73,12 @@ class RobotConfig:
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """Contact of the simulated plant: friction, and MuJoCo's (time constant [s], damping ratio)."""
+    """The simulated plant: `mujoco`, or `rigid` with both soles welded to the floor, to balance.
 
+    MuJoCo's contacts have a `friction`, and give way by a time constant [s] and a damping ratio.
+    """
+
+    kind: str = "mujoco"
     friction: float = 0.8
     contact_time_constant: float = 0.005
     contact_damping_ratio: float = 1.0
@@ -256,6 +261,7 @@ class RunConfig:
         _one_of("controller", self.controller, CONTROLLERS)
         _one_of("view", self.view, VIEWS)
         _one_of("walk.com_plan", self.walk.com_plan, COM_PLANS)
+        _one_of("plant.kind", self.plant.kind, PLANTS)
         _one_of("correction.level", self.correction.level, CORRECTION_LEVELS)
         _one_of("wire.projector_dtype", self.wire.projector_dtype, ("float32", "float64"))
         gains, weights = self.wbc.gains, self.wbc.weights
@@ -330,6 +336,11 @@ class RunConfig:
             raise ConfigError(
                 "wire.projector_dtype: expected float32 for a walk, where one message of at most "
                 "40 kB has the projectors of several contact modes, got 'float64'"
+            )
+        if self.task == "walk" and self.plant.kind == "rigid":
+            raise ConfigError(
+                "plant.kind: expected mujoco for a walk, because the feet of a rigid plant are "
+                "welded to the floor, got 'rigid'"
             )
         for push in self.push:
             parse_push(push)

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from robot_node.plant import Plant, from_mujoco, to_mujoco, world_from_base
+from robot_node.plant import MujocoPlant, from_mujoco, to_mujoco, world_from_base
 from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import solve
 from shared.wbc.qp import DaqpSolver
@@ -23,13 +23,13 @@ TOLERANCE = 1e-9
 
 @pytest.fixture(scope="module")
 def plant(robot, config):
-    return Plant(robot, config.plant)
+    return MujocoPlant(robot, config.plant)
 
 
 @pytest.fixture(scope="module")
 def in_the_air(robot, config):
     """A plant without contacts, so that forward dynamics is of the robot alone."""
-    plant = Plant(robot, config.plant)
+    plant = MujocoPlant(robot, config.plant)
     plant.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     return plant
 
@@ -185,7 +185,7 @@ def test_a_push_lasts_for_one_step_only(in_the_air, robot, model):
 
 
 def test_a_robot_at_rest_on_the_floor_carries_its_weight(robot, config, model, reference, stacks):
-    plant = Plant(robot, config.plant)
+    plant = MujocoPlant(robot, config.plant)
     stack = stacks[ContactMode.DOUBLE_SUPPORT]
     for _ in range(200):
         q, v = plant.state()
@@ -206,7 +206,7 @@ def test_a_robot_at_rest_on_the_floor_carries_its_weight(robot, config, model, r
 
 
 def test_a_diverged_simulation_is_not_put_back_to_its_start(robot, config):
-    plant = Plant(robot, config.plant)
+    plant = MujocoPlant(robot, config.plant)
     v = np.zeros(37)
     v[6:] = 1e12
     plant.set_state(robot.q_standing, v)

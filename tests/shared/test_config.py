@@ -175,6 +175,7 @@ def test_a_whole_number_may_stand_for_a_float():
         ("view", "cinema"),
         ("wire.projector_dtype", "float16"),
         ("correction.level", "a"),
+        ("plant.kind", "soft"),
     ],
 )
 def test_a_word_that_is_not_one_of_the_valid_ones_is_refused_with_those(key, value):
@@ -230,6 +231,12 @@ def test_a_word_that_is_not_one_of_the_valid_ones_is_refused_with_those(key, val
 )
 def test_a_number_out_of_range_is_refused_under_its_name(key, value):
     assert key in refusal(**{key: value})
+
+
+def test_a_robot_welded_to_the_floor_cannot_be_asked_to_walk():
+    assert load_config(None, {"plant.kind": "rigid"}).plant.kind == "rigid"
+    message = refusal(task="walk", plant__kind="rigid")
+    assert message.startswith("plant.kind: expected mujoco for a walk")
 
 
 def test_limits_themselves_are_allowed():
