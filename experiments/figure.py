@@ -13,7 +13,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from experiments.study import value_in_words
+from experiments.dealing import value_in_words
 from experiments.trial_table import read_trials, wilson_interval
 from shared.cli import EXIT_STANDING
 from shared.errors import ConfigError

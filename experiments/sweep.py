@@ -35,8 +35,10 @@ from typing import Any, BinaryIO
 
 import tomli_w
 
+from experiments.course import Trial
+from experiments.dealing import Study
 from experiments.lockstep import Lockstep
-from experiments.study import Study, Trial, read_study
+from experiments.study import read_study
 from experiments.trial_table import row_of, table_in_words, write_trials
 from shared.cli import EXIT_STANDING
 from shared.config import RunConfig
@@ -208,7 +210,9 @@ def _played(
     # The workers inherit it: Ctrl-C is for this process, which then ends them.
     heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        playing = {executor.submit(play, trial.config): trial for trial in trials}
+        playing = {
+            executor.submit(play, trial.config, trial.all_active_sets): trial for trial in trials
+        }
         signal.signal(signal.SIGINT, heard)
         for future in as_completed(playing):
             yield playing[future], future.result()
@@ -238,13 +242,13 @@ def _begin_worker() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-def play(config: RunConfig) -> Record:
+def play(config: RunConfig, all_active_sets: bool) -> Record:
     """What one trial came to: its summary, or the error that ended it."""
     started = time.perf_counter()
     summary: dict[str, Any] | None = None
     error = None
     try:
-        result = Lockstep(config, all_active_sets=False).run()
+        result = Lockstep(config, all_active_sets=all_active_sets).run()
         summary = {key: value for key, value in result.summary.items() if key != "versions"}
     except Exception as exception:
         at = traceback.extract_tb(exception.__traceback__)[-1]

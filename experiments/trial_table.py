@@ -14,7 +14,8 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from experiments.study import Trial, value_in_words
+from experiments.course import Trial
+from experiments.dealing import value_in_words
 from shared.errors import ConfigError
 
 # Counters by reason: a reason that never came is not there.

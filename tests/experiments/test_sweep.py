@@ -13,7 +13,8 @@ import time
 
 import pytest
 
-from experiments.study import SHIPPED, draw, read_study
+from experiments.dealing import draw
+from experiments.study import SHIPPED, read_study
 from experiments.sweep import sweep
 from experiments.trial_table import read_trials, table_in_words, wilson_interval
 from netem.networks import shipped_names
@@ -323,7 +324,7 @@ def test_an_unknown_study_lists_those_shipped():
 @pytest.mark.parametrize("name", [file.stem for file in SHIPPED.glob("*.toml")])
 def test_shipped_studies_can_be_played(name):
     study = read_study(name, seeds=1)
-    assert len(study.trials) == len(study.cells) > 1
+    assert len(study.trials) == len(study.cells)
     assert len({trial.identity for trial in study.trials}) == len(study.trials)
     assert study.table["description"]
 
