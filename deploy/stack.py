@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from deploy.plan import ROBOT, ROUTER, VIEWER, Plan, Step
 from deploy.status import Status, Terminal
 from deploy.supervisor import Service, Supervisor
@@ -20,8 +18,7 @@ from shared.bus.zenoh_bus import ZenohBus
 from shared.cli import EXIT_STANDING
 from shared.config import RunConfig
 from shared.errors import LinkError
-from shared.metrics import task_discrepancy
-from shared.report import summary, summary_in_words
+from shared.report import discrepancy_report, summary, summary_in_words
 from shared.telemetry import read_parquet
 from shared.wire.channels import LINK_KEY, TICKS_KEY
 
@@ -168,13 +165,13 @@ class Stack:
             return None
         return part
 
-    def _discrepancy(self) -> np.ndarray:
-        """Rows by which each tick's active set differs from the one the edge found for it."""
+    def _discrepancy(self) -> dict[str, Any] | None:
+        """The report of the active set; of the ticks whose state the edge has solved."""
         files = [self._out / "telemetry.parquet", self._out / "edge.parquet"]
         if not all(file.exists() for file in files):
-            return np.empty(0)
+            return None
         (schema, rows), (_, solve_rows) = (read_parquet(file) for file in files)
-        return task_discrepancy(schema, rows, solve_rows)
+        return discrepancy_report(schema, rows, solve_rows)
 
     def _record(self) -> None:
         """The recording of a run nobody watched, made from its files."""

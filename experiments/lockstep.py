@@ -29,9 +29,8 @@ from shared.bus.memory import MemoryBus
 from shared.clock import SimClock
 from shared.config import RunConfig
 from shared.errors import LinkError
-from shared.metrics import task_discrepancy
 from shared.motion.plan import make_motion
-from shared.report import edge_report, link_report, robot_report, summary
+from shared.report import discrepancy_report, edge_report, link_report, robot_report, summary
 from shared.robots import load_robot
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, RowLog, Schema
 from shared.wire.channels import DOWNLINK, UPLINK
@@ -224,12 +223,12 @@ class Lockstep:
             solve_rows=solve_rows,
         )
 
-    def _discrepancy(self, rows: np.ndarray, solve_rows: np.ndarray) -> np.ndarray:
-        """Cardinality by which each tick's active set differs from its state's own, Table VI."""
+    def _discrepancy(self, rows: np.ndarray, solve_rows: np.ndarray) -> dict[str, Any]:
+        """The report of the active set, with the states that the edge did not solve, Table VI."""
         missed = RowLog(SOLVE_SCHEMA)
         for data in self._unsolved.values():
             answer = self.edge.solve(self._codec.decode_state(data))
             answer.record(missed.row(), wall_ns=0, solve_ns=0)
         missed.close()
         solved = np.concatenate([missed.rows(), solve_rows])
-        return task_discrepancy(self.robot.schema, rows, solved)
+        return discrepancy_report(self.robot.schema, rows, solved)

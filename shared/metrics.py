@@ -97,10 +97,15 @@ def active_set_discrepancy(schema: Schema, rows: np.ndarray, true_sets: np.ndarr
     return np.where(known, np.bitwise_count(used ^ true_sets), np.nan)
 
 
-def task_discrepancy(schema: Schema, rows: np.ndarray, solve_rows: np.ndarray) -> np.ndarray:
-    """`active_set_discrepancy` of the task's ticks against the solves there are of their states."""
-    rows = in_task(schema, rows)
-    return active_set_discrepancy(schema, rows, true_active_sets(schema, rows, solve_rows))
+def by_cardinality(cardinality: np.ndarray, values: np.ndarray) -> list[float | None]:
+    """Mean of the finite values at the ticks of each cardinality from 0 on; None where none is."""
+    return [mean(values[cardinality == k]) for k in range(len(ticks_by_cardinality(cardinality)))]
+
+
+def ticks_by_cardinality(cardinality: np.ndarray) -> list[int]:
+    """How many ticks have each cardinality from 0 to the largest; NaN counts for none."""
+    known = cardinality[np.isfinite(cardinality)].astype(np.int64)
+    return [int(count) for count in np.bincount(known)]
 
 
 def in_task(schema: Schema, rows: np.ndarray) -> np.ndarray:

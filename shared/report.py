@@ -11,17 +11,22 @@ import numpy as np
 
 from shared.config import RunConfig
 from shared.metrics import (
+    active_set_discrepancy,
+    by_cardinality,
     in_task,
     log_hash,
     mean,
     quantiles,
     stance_slips,
     switch_to_fresh_ms,
+    ticks_by_cardinality,
+    true_active_sets,
 )
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema
 
 DIRECTIONS = ("uplink", "downlink")
 SOURCES = ("fresh", "cached", "held", "on_board", "corrected", "stopping")
+_ERRORS = ("com_error_m", "contact_violation_m_s2")
 _PACKAGES = (
     "eclipse-zenoh",
     "pin",
@@ -139,6 +144,29 @@ def link_report(rows: np.ndarray, *, profile: str, passes: int) -> dict[str, Any
     return report
 
 
+def discrepancy_report(schema: Schema, rows: np.ndarray, solve_rows: np.ndarray) -> dict[str, Any]:
+    """By how many rows the active sets used differ from those of the ticks' own states.
+
+    From the tick rows and the solves there are of their states. The lists are Table VI, indexed by
+    the cardinality: how many ticks, and the mean errors at them.
+    """
+    rows = in_task(schema, rows)
+    cardinality = active_set_discrepancy(schema, rows, true_active_sets(schema, rows, solve_rows))
+    return _discrepancy(cardinality, *(schema.column(rows, name) for name in _ERRORS))
+
+
+def _discrepancy(cardinality: np.ndarray, *errors: np.ndarray) -> dict[str, Any]:
+    return {
+        "mean": mean(cardinality),
+        **quantiles(cardinality),
+        "ticks": ticks_by_cardinality(cardinality),
+        **{
+            name: by_cardinality(cardinality, values)
+            for name, values in zip(_ERRORS, errors, strict=True)
+        },
+    }
+
+
 def merge(*parts: dict[str, Any] | None) -> dict[str, Any]:
     """Reports of several processes as one; nested maps are joined, missing parts left out."""
     merged: dict[str, Any] = {}
@@ -157,12 +185,9 @@ def summary(
     robot: dict[str, Any],
     edge: dict[str, Any] | None,
     link: dict[str, Any] | None,
-    discrepancy: np.ndarray,
+    discrepancy: dict[str, Any] | None,
 ) -> dict[str, Any]:
-    """The summary of a run, with every key there even where a part is missing.
-
-    `discrepancy` of the active set, per tick, as `active_set_discrepancy` gives it.
-    """
+    """The summary of a run, with every key there even where a part is missing."""
     unknown = {"sent": None, "received": None, "lost": None, "refused": None}
     skeleton = {
         "task": config.task,
@@ -170,7 +195,7 @@ def summary(
         "network": config.link.network,
         "seed": config.seed,
         "edge_solve_ms": quantiles(np.empty(0)),
-        "active_set_discrepancy": {"mean": mean(discrepancy), **quantiles(discrepancy)},
+        "active_set_discrepancy": discrepancy or _discrepancy(*[np.empty(0)] * 3),
         "link": {
             name: {**unknown, "bytes_per_second": None, "delay_error_ms": quantiles(np.empty(0))}
             for name in DIRECTIONS

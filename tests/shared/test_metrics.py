@@ -5,11 +5,13 @@ import pytest
 
 from shared.metrics import (
     active_set_discrepancy,
+    by_cardinality,
     in_task,
     mean,
     quantiles,
     stance_slips,
     switch_to_fresh_ms,
+    ticks_by_cardinality,
     true_active_sets,
 )
 from shared.telemetry import SOLVE_SCHEMA, tick_schema
@@ -74,6 +76,16 @@ def test_without_the_true_set_there_is_no_discrepancy(edge):
     rows = ticks(3)
     true_sets = true_active_sets(SCHEMA, rows, edge)
     assert np.isnan(active_set_discrepancy(SCHEMA, rows, true_sets)).all()
+
+
+def test_errors_are_averaged_over_the_ticks_of_each_cardinality():
+    cardinality = np.array([0, 3, 0, NAN, 3, 1])
+    values = np.array([1.0, 5.0, 2.0, 99.0, 7.0, NAN])
+    assert ticks_by_cardinality(cardinality) == [2, 1, 0, 2]
+    # Of the one tick at cardinality 1 the error is unknown; there is none at 2.
+    assert by_cardinality(cardinality, values) == [1.5, None, None, 6.0]
+    unknown = np.full(3, NAN)
+    assert (ticks_by_cardinality(unknown), by_cardinality(unknown, unknown)) == ([], [])
 
 
 def test_waiting_is_not_part_of_the_task():

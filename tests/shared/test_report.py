@@ -7,6 +7,7 @@ import pytest
 
 from shared.config import RunConfig
 from shared.report import (
+    discrepancy_report,
     edge_report,
     link_report,
     log_hash,
@@ -160,11 +161,24 @@ def test_a_map_and_a_value_under_one_name_do_not_mix():
     assert merge({"a": 2}, {"a": {"x": 1}}) == {"a": {"x": 1}}
 
 
+def test_the_discrepancy_is_told_by_cardinality_from_the_ticks_of_the_task():
+    rows = ticks(6, waiting=1)
+    rows[:, SCHEMA.slices["active_set"]] = np.array([[0b1000], [0], [0b11], [0b01], [0b01], [-1]])
+    edge = np.zeros((6, SOLVE_SCHEMA.width))
+    edge[:, SOLVE_SCHEMA.slices["state_sequence"]] = np.arange(6)[:, None]
+    # The tick that waited does not count, nor the last, which used none.
+    assert discrepancy_report(SCHEMA, rows, edge) == {
+        **{"mean": 1.0, "p50": 1.0, "p99": 1.97, "max": 2.0},
+        "ticks": [1, 2, 1],
+        "com_error_m": [0.01, 0.01, 0.01],
+        # Half of the ticks, those of odd number, know no violation.
+        "contact_violation_m_s2": [None, 0.5, 0.5],
+    }
+
+
 def test_a_summary_has_every_key_even_where_a_part_is_missing():
     config = RunConfig()
-    whole = summary(
-        config, robot=robot_part(ticks(20)), edge=None, link=None, discrepancy=np.empty(0)
-    )
+    whole = summary(config, robot=robot_part(ticks(20)), edge=None, link=None, discrepancy=None)
     assert (whole["task"], whole["controller"]) == ("balance", "la")
     keys = {"sent", "received", "lost", "refused", "delay_error_ms"}
     for way in ("uplink", "downlink"):
@@ -172,6 +186,9 @@ def test_a_summary_has_every_key_even_where_a_part_is_missing():
     assert whole["link"]["uplink"]["sent"] == 10
     assert whole["link"]["uplink"]["received"] is None
     assert whole["edge_solve_ms"]["p50"] is None
+    assert set(whole["active_set_discrepancy"]) == set(
+        discrepancy_report(SCHEMA, ticks(3), np.empty((0, SOLVE_SCHEMA.width)))
+    )
     # What is written to disk.
     json.dumps(whole, allow_nan=False)
 
@@ -179,9 +196,7 @@ def test_a_summary_has_every_key_even_where_a_part_is_missing():
 def test_a_summary_is_told_in_words_even_where_a_part_is_missing():
     for part in (ticks(20), ticks(5, waiting=5)):
         words = summary_in_words(
-            summary(
-                RunConfig(), robot=robot_part(part), edge=None, link=None, discrepancy=np.empty(0)
-            )
+            summary(RunConfig(), robot=robot_part(part), edge=None, link=None, discrepancy=None)
         )
         assert words.startswith("Stands after")
         assert "None ms" not in words
@@ -190,7 +205,7 @@ def test_a_summary_is_told_in_words_even_where_a_part_is_missing():
         robot=robot_part(ticks(20), fell=True),
         edge=None,
         link=None,
-        discrepancy=np.empty(0),
+        discrepancy=None,
     )
     assert summary_in_words(fell).startswith("FELL after 0.02 s")
 
