@@ -111,6 +111,7 @@ class RobotNode:
         self._measured_ns = 0
         self._stopping = False
         self._set_down: dict[Foot, np.ndarray] = {}
+        self._true_state: tuple[np.ndarray, np.ndarray]
         self._q: np.ndarray
         self._v: np.ndarray
         self._reference: Reference
@@ -122,7 +123,8 @@ class RobotNode:
 
     def measure(self, now_ns: int) -> bytes:
         """First phase: sense, observe, and return the state message to send."""
-        q, v = self._sensors.measure(*self._plant.state())
+        self._true_state = self._plant.state()
+        q, v = self._sensors.measure(*self._true_state)
         self._q, self._v = q, v
         self._reference = self._motion.reference(self.time_ns)
         self._controller.observe(q, v, self._reference)
@@ -178,7 +180,7 @@ class RobotNode:
     def record(self, row: np.ndarray, command: Command) -> None:
         """Fill the telemetry row of this tick; between `command` and `advance`."""
         columns = self.schema.slices
-        q, v = self._plant.state()
+        q, v = self._true_state
         com, soles = self._model.com_and_soles(q)
         row[columns["tick"]] = self.tick
         in_task = self.running or command.decision is not None

@@ -78,9 +78,9 @@ class Walking:
             before = (phase.step.start.yaw + phase.step.support.yaw) / 2
             yaw = before + quintic(elapsed / duration)[0] * (yaw - before)
         return Reference(
-            com=np.array([*com.position, self._com_height]),
-            com_velocity=np.array([*com.velocity, 0.0]),
-            com_acceleration=np.array([*com.acceleration, 0.0]),
+            com=_at_height(com.position, self._com_height),
+            com_velocity=_at_height(com.velocity, 0.0),
+            com_acceleration=_at_height(com.acceleration, 0.0),
             world_from_base=pin.utils.rotate("z", yaw) @ self._base_in_standing,
             posture=self._standing.posture,
             mode=phase.mode,
@@ -165,6 +165,14 @@ class Walking:
 
     def _zmp(self, print_: Footprint) -> np.ndarray:
         return print_.to_world(self._zmp_in_sole[print_.foot])
+
+
+def _at_height(plane: np.ndarray, height: float) -> np.ndarray:
+    """(x, y) with a height, (3,)."""
+    vector = np.empty(3)
+    vector[:2] = plane
+    vector[2] = height
+    return vector
 
 
 def _phases(config: WalkConfig, steps: tuple[Step, ...]) -> tuple[Phase, ...]:

@@ -143,22 +143,32 @@ class SwingFootTask:
         kd = 2.0 * math.sqrt(self.kp)
         placement = kinematics.sole_placement[self.foot]
         R = placement.rotation
-        v, omega = np.split(kinematics.sole_velocity[self.foot], 2)
+        velocity = kinematics.sole_velocity[self.foot]
+        v, omega = velocity[:3], velocity[3:]
         reference_rotation = pin.utils.rotate("z", swing.yaw)
-        linear = R.T @ (
+        target = np.empty(self.size)
+        target[:3] = R.T @ (
             swing.acceleration
             + self.kp * (swing.position - placement.translation)
             + kd * swing.velocity
         )
         # The rows hold spatial accelerations: a point's acceleration less ω × v.
-        linear -= kd * v + np.cross(omega, v)
+        target[:3] -= kd * v + _cross(omega, v)
         upright = R.T[:, 2]
-        angular = (
+        target[3:] = (
             self.kp * pin.log3(R.T @ reference_rotation)
             + kd * (swing.yaw_rate * upright - omega)
             + swing.yaw_acceleration * upright
         )
-        return np.concatenate([linear, angular]) - kinematics.sole_acceleration[self.foot]
+        target -= kinematics.sole_acceleration[self.foot]
+        return target
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
         multipliers.soles[self.foot] = multipliers.soles.get(self.foot, 0.0) + rows
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a × b of two vectors (3,); numpy's own takes as long as the whole rest of a target."""
+    a_x, a_y, a_z = a.tolist()
+    b_x, b_y, b_z = b.tolist()
+    return np.array([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x])
