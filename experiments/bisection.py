@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.dealing import Study
+from experiments.dealing import Study, value_in_words
+from experiments.trial_table import aligned, errors_in_words
 from shared.errors import ConfigError
 
 
@@ -73,6 +74,36 @@ def median_interval(values: Sequence[float], *, confidence: float = 0.95) -> Med
         k += 1
     median = (ordered[(n - 1) // 2] + ordered[n // 2]) / 2
     return MedianInterval(median, ordered[k - 1], ordered[n - k], _coverage(k, n))
+
+
+def limits_in_words(study: Study, found: Sequence[Limit], rows: Sequence[dict[str, Any]]) -> str:
+    """One line per cell, for a person: the limits of its seeds, and their median."""
+    assert study.bisection is not None
+    of, high = study.bisection, study.bisection.high
+    settings = list(study.cells[0].shown)
+    lines = [[*settings, "limits", "median", "interval of the median", "least", "most"]]
+    for cell in study.cells:
+        values = [
+            limit.standing
+            for limit in found
+            if limit.label == cell.shown and limit.standing is not None
+        ]
+        named = [value_in_words(value) for value in cell.shown.values()]
+        if not values:
+            lines.append([*named, "0", *"----"])
+            continue
+        middle = median_interval(values)
+        low, median, top, least, most = (
+            f"{'≥ ' * (value == high)}{value:g}"
+            for value in (middle.low, middle.median, middle.high, min(values), max(values))
+        )
+        interval = f"{low} … {top} ({100 * middle.coverage:.1f} %)"
+        lines.append([*named, str(len(values)), median, interval, least, most])
+    told = (
+        f"the largest n that stood, {of.setting} = {value_in_words(of.values[of.setting])}, n from "
+        f"{of.low} to {of.high}, to within {of.resolution}"
+    )
+    return "\n".join([told, *aligned(lines), *errors_in_words(rows)])
 
 
 def _coverage(k: int, n: int) -> float:

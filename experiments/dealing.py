@@ -59,10 +59,10 @@ class Study:
         """
         return [course.next for course in self.courses() if course.next is not None]
 
-    @property
-    def most_per_course(self) -> int:
-        """So many trials, at most, has a course."""
-        return 1 if self.bisection is None else self.bisection.most
+    def most_left(self, courses: Iterable[Course]) -> int:
+        """So many trials, at most, are left of these courses."""
+        most = 1 if self.bisection is None else self.bisection.most
+        return sum(most - len(course.played) for course in courses if course.next is not None)
 
     def courses(self) -> list[Course]:
         """A course for every cell and seed, at its beginning, in the order of `trials`."""

@@ -85,12 +85,20 @@ def table_in_words(rows: Sequence[dict[str, Any]], settings: Sequence[str]) -> s
             values = [scale * row[column] for row in standing if row[column] is not None]
             means.append(_number(sum(values) / len(values)) if values else "-")
         lines.append([*named, *stood, *means])
+    return "\n".join([*aligned(lines), *errors_in_words(rows)])
+
+
+def aligned(lines: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of cells in columns, the first line their headings."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    text = ["  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
+    padded = [[c.ljust(w) for c, w in zip(line, widths, strict=True)] for line in lines]
+    return ["  ".join(line).rstrip() for line in padded]
+
+
+def errors_in_words(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """A line on the trials that ended with an error, if any did."""
     errors = [row["error"] for row in rows if row["error"] is not None]
-    if errors:
-        text.append(f"ended with an error: {len(errors)}, the first: {errors[0]}")
-    return "\n".join(line.rstrip() for line in text)
+    return [f"ended with an error: {len(errors)}, the first: {errors[0]}"] if errors else []
 
 
 def _number(value: float) -> str:
