@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import select
 import signal
@@ -18,16 +19,21 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from netem.tun import EDGE_ADDRESS, ROBOT_ADDRESS, why_not_permitted
+from netem.tun import DEVICE, EDGE_ADDRESS, ROBOT_ADDRESS, why_not_permitted
 from shared.errors import LinkError
 
 _READY_SECONDS = 60.0
 _END_SECONDS = 30.0
+_PR_SET_PDEATHSIG = 1
 _NAMESPACES = ("wbc-bench-robot", "wbc-bench-edge")
-_DEVICE = "link0"
 _PORT = 7460
 # 10 s of 40 kB messages in packets of 1500 bytes: the kernel's default of 1000 would drop most.
 _KERNEL_PACKETS = 300_000
+
+
+def end_with_parent() -> None:
+    """In a child: ask for SIGTERM when the parent dies, even if it is killed."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 class Started:
@@ -36,7 +42,9 @@ class Started:
     def __init__(self, *arguments: str, prefix: tuple[str, ...] = ()) -> None:
         self._name = " ".join(arguments[:2])
         self._popen = subprocess.Popen(
-            [*prefix, sys.executable, "-m", *arguments], stdout=subprocess.PIPE
+            [*prefix, sys.executable, "-m", *arguments],
+            stdout=subprocess.PIPE,
+            preexec_fn=end_with_parent if sys.platform == "linux" else None,
         )
         self._heard = b""
 
@@ -47,9 +55,11 @@ class Started:
         while word.encode() not in self._heard:
             left = max(0.0, deadline - time.monotonic())
             readable, _, _ = select.select([self._popen.stdout], (), (), left)
-            chunk = os.read(self._popen.stdout.fileno(), 65_536) if readable else b""
-            if not chunk:
+            if not readable:
                 raise LinkError(f"{self._name} did not say {word} within {_READY_SECONDS:g} s")
+            chunk = os.read(self._popen.stdout.fileno(), 65_536)
+            if not chunk:
+                raise LinkError(f"{self._name} ended without saying {word}")
             self._heard += chunk
 
     @property
@@ -139,13 +149,13 @@ def kernel(delays_ms: tuple[float, float]) -> Iterator[LinkPath]:
             _command("ip", "netns", "add", name)
             stack.callback(subprocess.run, ["ip", "netns", "del", name], check=False)
         robot, edge = _NAMESPACES
-        ends = (_DEVICE, "netns", robot, "type", "veth", "peer", "name", _DEVICE, "netns", edge)
+        ends = (DEVICE, "netns", robot, "type", "veth", "peer", "name", DEVICE, "netns", edge)
         _command("ip", "link", "add", *ends)
         for name, address, delay_ms in zip(_NAMESPACES, addresses, delays_ms, strict=True):
-            _command("ip", "-n", name, "addr", "add", f"{address}/30", "dev", _DEVICE)
-            _command("ip", "-n", name, "link", "set", "dev", _DEVICE, "up")
+            _command("ip", "-n", name, "addr", "add", f"{address}/30", "dev", DEVICE)
+            _command("ip", "-n", name, "link", "set", "dev", DEVICE, "up")
             emulation = ("netem", "delay", f"{delay_ms}ms", "limit", str(_KERNEL_PACKETS))
-            _command("tc", "-n", name, "qdisc", "add", "dev", _DEVICE, "root", *emulation)
+            _command("tc", "-n", name, "qdisc", "add", "dev", DEVICE, "root", *emulation)
         yield _between_namespaces("tcp", None)
 
 

@@ -107,14 +107,13 @@ def way_errors(trial: Trial, direction: int, *, one_way_ns: int | None) -> WayEr
         nominal_ns = np.full(len(arrivals), one_way_ns)
     else:
         log = trial.log[LINK_SCHEMA.column(trial.log, "direction") == direction]
-        log = log[np.argsort(LINK_SCHEMA.column(log, "wall_ns"))]
-        stamps, nominals, achieved = (
+        numbers, nominals, achieved = (
             LINK_SCHEMA.column(log, name).astype(np.int64)
-            for name in ("wall_ns", "nominal_ns", "achieved_ns")
+            for name in ("sequence", "nominal_ns", "achieved_ns")
         )
-        # A stamp names a message: one sender never sends two in the same nanosecond.
-        found = np.searchsorted(stamps, sent_ns)
-        assert np.array_equal(stamps[found], sent_ns)
+        order = np.argsort(numbers)
+        found = order[np.searchsorted(numbers, sequence, sorter=order)]
+        assert np.array_equal(numbers[found], sequence)
         nominal_ns = nominals[found]
         released_ns = achieved[found] - nominal_ns
     received_ns = arrivals[:, ARRIVED] - sent_ns - nominal_ns

@@ -18,7 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.link_paths import LinkPath, direct, kernel, packets, shim, why_no_kernel
+from benchmarks.link_paths import (
+    LinkPath,
+    direct,
+    end_with_parent,
+    kernel,
+    packets,
+    shim,
+    why_no_kernel,
+)
 from benchmarks.link_trial import Open, Trial, run_trial, way_errors
 from benchmarks.timing import cores_busy, machine
 from netem.profile import DIRECTIONS
@@ -109,14 +117,16 @@ def _references() -> tuple[list[_Case], list[str]]:
 
 
 def _try(case: _Case, load: str, *, seconds: float, answer: bool = False) -> Trial:
-    with _busy_processes(os.cpu_count() or 1 if load == "loaded" else 0):
+    cores = os.cpu_count() or 1
+    with _busy_processes(cores if load == "loaded" else 0):
         return run_trial(case.open_path, seconds=seconds, answer=answer)
 
 
 @contextmanager
 def _busy_processes(count: int) -> Iterator[None]:
     command = [sys.executable, "-c", "while True: pass"]
-    processes = [subprocess.Popen(command) for _ in range(count)]
+    preexec = end_with_parent if sys.platform == "linux" else None
+    processes = [subprocess.Popen(command, preexec_fn=preexec) for _ in range(count)]
     try:
         yield
     finally:

@@ -17,11 +17,11 @@ def arrivals(rows: list[tuple[int, int, int]]) -> np.ndarray:
 
 
 def log(rows: list[tuple[int, int, int, int]]) -> np.ndarray:
-    """(direction, sent, nominal, achieved) [ns] as the shim does."""
+    """(direction, sequence, nominal, achieved) [ns] as the shim does."""
     table = np.zeros((len(rows), LINK_SCHEMA.width))
     for row, values in zip(table, rows, strict=True):
         for name, value in zip(
-            ("direction", "wall_ns", "nominal_ns", "achieved_ns"), values, strict=True
+            ("direction", "sequence", "nominal_ns", "achieved_ns"), values, strict=True
         ):
             row[LINK_SCHEMA.slices[name]] = value
     return table
@@ -49,14 +49,16 @@ def test_lost_early_and_swapped_messages_are_counted() -> None:
 
 
 def test_each_message_is_compared_with_its_own_row_of_the_log() -> None:
-    down = arrivals([(0, 100, 100 + 3 * MS), (1, 200, 200 + 9 * MS)])
+    # So long after the machine was started that a float knows no single nanoseconds.
+    sent_ns = 2**54 + 100
+    down = arrivals([(4, sent_ns, sent_ns + 3 * MS), (6, sent_ns + 1, sent_ns + 1 + 9 * MS)])
     rows = log(
         [
-            (DOWNLINK, 200, 8 * MS, 8 * MS + 2),
-            (UPLINK, 100, 50 * MS, 60 * MS),
-            (DOWNLINK, 100, 3 * MS - 7, 3 * MS - 6),
+            (DOWNLINK, 6, 8 * MS, 8 * MS + 2),
+            (UPLINK, 4, 50 * MS, 60 * MS),
+            (DOWNLINK, 4, 3 * MS - 7, 3 * MS - 6),
             # One that was lost behind the shim.
-            (DOWNLINK, 150, 3 * MS, 3 * MS),
+            (DOWNLINK, 5, 3 * MS, 3 * MS),
         ]
     )
     way = way_errors(trial(down, rows), DOWNLINK, one_way_ns=None)
