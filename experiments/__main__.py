@@ -6,6 +6,7 @@ from __future__ import annotations
 import shared.single_thread  # noqa: F401
 
 # isort: on
+from experiments.check import add_check_arguments, run_check
 from experiments.corrections import add_corrections_arguments, run_corrections
 from experiments.figure import add_figure_arguments, run_figure
 from experiments.sweep import add_sweep_arguments, run_sweep
@@ -15,6 +16,7 @@ from shared.cli import Command, run, run_command
 _COMMANDS = (
     Command("trial", "play one run and print its summary", add_trial_arguments, run_trial),
     Command("sweep", "play a study and print its table", add_sweep_arguments, run_sweep),
+    Command("check", "play trials of a finished sweep again", add_check_arguments, run_check),
     Command("figure", "draw what a sweep has found", add_figure_arguments, run_figure),
     Command(
         "corrections",

@@ -39,11 +39,17 @@ def write_trials(rows: Sequence[dict[str, Any]], out: Path) -> None:
 
 
 def read_trials(out: Path) -> pa.Table:
-    """The table that a sweep left in its folder, a row per trial."""
+    """The table that a sweep left in its folder, a row per trial; `ConfigError` if it has none."""
     path = out / "trials.parquet"
     if not path.is_file():
         raise ConfigError(f"expected the folder of a finished sweep, got {out}: no {path.name}")
-    return pq.read_table(path)
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from None
+    if not table.num_rows or not {"seed", "fell", "error"} <= set(table.column_names):
+        raise ConfigError(f"expected a row per trial in {path}, with seed, fell and error")
+    return table
 
 
 def row_of(trial: Trial, record: dict[str, Any], columns: Sequence[str]) -> dict[str, Any]:
