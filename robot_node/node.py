@@ -93,8 +93,8 @@ class RobotNode:
         self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
         self._session = new_session() if session is None else session
         self._codec = Codec(robot, config, motion)
-        self._controller = self._make_controller()
-        self.cache: AnswerCache = self._controller.cache
+        self.controller = self._make_controller()
+        self.cache: AnswerCache = self.controller.cache
         self.on_board: OnBoard | None = None
         if needs_on_board_computer(config, motion):
             if computer is None:
@@ -119,7 +119,7 @@ class RobotNode:
     @property
     def waits_for_answers(self) -> bool:
         """Whether every state is answered, so that waiting d* for it may be worth it."""
-        return self._controller.ages
+        return self.controller.ages
 
     def measure(self, now_ns: int) -> bytes:
         """First phase: sense, observe, and return the state message to send."""
@@ -127,7 +127,7 @@ class RobotNode:
         q, v = self._sensors.measure(*self._true_state)
         self._q, self._v = q, v
         self._reference = self._motion.reference(self.time_ns)
-        self._controller.observe(q, v, self._reference)
+        self.controller.observe(q, v, self._reference)
         self._measured_ns = now_ns
         return self._codec.encode_state(
             RobotState(
@@ -149,11 +149,11 @@ class RobotNode:
     def command(self, now_ns: int) -> Command:
         """Second phase: the torque of this tick, Eq. (7)."""
         self._solve_on_board()
-        decision = self._controller.command(time_ns=self.time_ns)
+        decision = self.controller.command(time_ns=self.time_ns)
         if decision is None:
             return self._held(age_ns=-1)
         age_ns = now_ns - decision.stamp_ns
-        if self._controller.ages and age_ns > self._hold_after_ns:
+        if self.controller.ages and age_ns > self._hold_after_ns:
             return self._held(age_ns=age_ns)
         safe = self._guard.accept(decision.tau)
         if safe is None:
@@ -162,7 +162,7 @@ class RobotNode:
         source = Source.FRESH if decision.sequence == self.tick else decision.source
         if self._stopping and source is not Source.CACHED:
             source = Source.STOPPING
-        if self._controller.doubtful:
+        if self.controller.doubtful:
             self._stop_walking()
         return Command(self._bounded(safe, source), source, age_ns, decision)
 
@@ -239,7 +239,7 @@ class RobotNode:
 
         Fresh, corrected and on-board answers are one rung: they meet in the same solution.
         """
-        if not self.running or self._controller.ages:
+        if not self.running or self.controller.ages:
             return tau
         rung = source if source in (Source.HELD, Source.CACHED) else Source.FRESH
         changed, self._last_rung = rung is not self._last_rung, rung
@@ -285,7 +285,7 @@ class RobotNode:
         return MujocoPlant(robot, self._config.plant, timestep=timestep)
 
     def _make_on_board(self, computer: OnBoardComputer) -> OnBoard:
-        controller = self._controller
+        controller = self.controller
         if isinstance(controller, LocallyCorrected):
             return OnBoardRefresh(
                 self._config, computer, controller.cache, lambda: controller.wants_refresh

@@ -140,7 +140,7 @@ def test_what_was_solved_on_board_is_named(cache, model, stacks, stack, now, ref
 )
 def test_controllers_are_made_by_their_names(robot, motion, configured, name, controller, ages):
     node = RobotNode(robot, configured(controller=name), motion)
-    made = node._controller
+    made = node.controller
     assert isinstance(made, controller)
     assert made.cache is node.cache
     assert made.ages is ages

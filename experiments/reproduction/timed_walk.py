@@ -1,0 +1,129 @@
+"""Walks in lockstep with a stopwatch: the durations behind Table V."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments.lockstep import Lockstep, TrialResult
+from shared.config import RunConfig
+from shared.motion.reference import Reference
+from shared.robots import load_robot
+from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA
+from shared.wbc.contacts import ContactMode
+from shared.wbc.model import WholeBodyModel
+from shared.wbc.projector import solve
+from shared.wbc.qp import make_solver
+from shared.wbc.stack import Stack
+from shared.wbc.torque import recover_torque
+
+# Left out of every walk: until then caches and branch predictors are cold.
+WARM_UP_TICKS = 200
+
+State = tuple[np.ndarray, np.ndarray, Reference]
+
+
+class TimedWalk:
+    """One walk in lockstep, its computations timed where they are done.
+
+    After the warm-up: `states` that the robot measured; durations [ns] of every tick, `local_ns` of
+    the local controller, `tick_ns` of all that the robot computes; `edge_ns` of the edge's answers.
+    """
+
+    def __init__(self, config: RunConfig) -> None:
+        lockstep = Lockstep(config, all_active_sets=False)
+        observed, observe_ns = _timed(lockstep.robot.controller, "observe")
+        _, command_ns = _timed(lockstep.robot.controller, "command")
+        self.result: TrialResult = lockstep.run()
+        schema, rows, solves = self.result.schema, self.result.rows, self.result.solve_rows
+        self.states: list[State] = observed[WARM_UP_TICKS:]
+        both = np.add(observe_ns[: len(command_ns)], command_ns)
+        self.local_ns = both[WARM_UP_TICKS:]
+        self.tick_ns = schema.column(rows, "tick_ns")[WARM_UP_TICKS:]
+        warm = SOLVE_SCHEMA.column(solves, "state_sequence") >= WARM_UP_TICKS
+        self.edge_ns = SOLVE_SCHEMA.column(solves, "solve_ns")[warm]
+        # No object of one walk is left to be cleared away in the next.
+        del lockstep
+        gc.collect()
+
+    @property
+    def seconds(self) -> float:
+        """How long it was, to its end or the robot's fall."""
+        return len(self.result.rows) * 1e-3
+
+    def message_bytes(self, direction: int) -> np.ndarray:
+        """Sizes of the messages sent in a direction."""
+        rows = self.result.link_rows
+        sent = LINK_SCHEMA.column(rows, "direction") == direction
+        return LINK_SCHEMA.column(rows[sent], "bytes")
+
+
+def _timed(owner: object, name: str) -> tuple[list[Any], list[int]]:
+    """Positional arguments and durations [ns] of the calls of a method from now on."""
+    method = getattr(owner, name)
+    given: list[Any] = []
+    durations: list[int] = []
+
+    def timed(*args: Any, **kwargs: Any) -> Any:
+        given.append(args)
+        started = time.perf_counter_ns()
+        result = method(*args, **kwargs)
+        durations.append(time.perf_counter_ns() - started)
+        return result
+
+    setattr(owner, name, timed)
+    return given, durations
+
+
+def full_controller(
+    config: RunConfig, states: Sequence[State], repetitions: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Durations [ns], (repetitions, states), of the QP and of the whole that has it as a part.
+
+    The whole is what a robot without an edge would compute at these states.
+    """
+    robot = load_robot(config.robot.name)
+    model = WholeBodyModel(robot)
+    stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+    solver = make_solver(config.wbc.solver)
+    qp_ns, full_ns = np.empty((2, repetitions, len(states)))
+    for r in range(repetitions):
+        for k, (q, v, reference) in enumerate(states):
+            stack = stacks[reference.mode]
+            started = time.perf_counter_ns()
+            b = stack.right_hand_side(model.kinematics(q, v), reference)
+            matrices = stack.matrices(model.jacobians(q))
+            posed = time.perf_counter_ns()
+            projector = solve(stack, matrices, b, solver=solver).projector
+            solved = time.perf_counter_ns()
+            if projector is not None:
+                recover_torque(model, stack.contacts, q, v, projector.apply(b))
+            full_ns[r, k] = time.perf_counter_ns() - started
+            qp_ns[r, k] = solved - posed
+    return qp_ns, full_ns
+
+
+@contextlib.contextmanager
+def one_core() -> Iterator[bool]:
+    """One core and no garbage collection; whether the system allowed the one core."""
+    before: set[int] | None = None
+    with contextlib.suppress(AttributeError, OSError):
+        allowed = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, {max(allowed)})
+        before = allowed
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield before is not None
+    finally:
+        gc.enable()
+        gc.unfreeze()
+        if before is not None:
+            os.sched_setaffinity(0, before)
