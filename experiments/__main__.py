@@ -9,6 +9,8 @@ import shared.single_thread  # noqa: F401
 from experiments.check import add_check_arguments, run_check
 from experiments.corrections import add_corrections_arguments, run_corrections
 from experiments.figure import add_figure_arguments, run_figure
+from experiments.reproduction.report import add_report_arguments, run_report
+from experiments.reproduction.run import add_run_arguments, run_reproduction
 from experiments.sweep import add_sweep_arguments, run_sweep
 from experiments.trial import add_trial_arguments, run_trial
 from shared.cli import Command, run, run_command
@@ -16,6 +18,8 @@ from shared.cli import Command, run, run_command
 _COMMANDS = (
     Command("trial", "play one run and print its summary", add_trial_arguments, run_trial),
     Command("sweep", "play a study and print its table", add_sweep_arguments, run_sweep),
+    Command("run", "the paper's tables and figures", add_run_arguments, run_reproduction),
+    Command("report", "a page of what `run` has found", add_report_arguments, run_report),
     Command("check", "play trials of a finished sweep again", add_check_arguments, run_check),
     Command("figure", "draw what a sweep has found", add_figure_arguments, run_figure),
     Command(

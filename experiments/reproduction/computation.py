@@ -1,0 +1,87 @@
+"""Table V: what the full QP and the local controller take, beside the paper's times."""
+
+from __future__ import annotations
+
+from experiments.reproduction.compute_times import LOCAL, QP, ComputeTimes
+from experiments.reproduction.layout import Table
+from experiments.reproduction.published import published
+from experiments.reproduction.results import Results
+from experiments.reproduction.verdict import Verdict, verdict, within
+
+_NAMES = {"qp": QP, "local": LOCAL["la"]}
+_IN_WORDS = {"qp": "full QP", "local": "local controller (LA)"}
+_KINDS = ("mean", "worst")
+
+
+def computation_tables(results: Results) -> list[Table]:
+    """Beside the paper's, then whatever was measured, and the messages; [] if nothing was."""
+    times = results.compute_times
+    if times is None:
+        return []
+    lines = []
+    for clock, factor in _clocks(times).items():
+        for which, said in _IN_WORDS.items():
+            line = [clock, said]
+            for kind in _KINDS:
+                ours, paper = _ms(times, which, kind, factor), _paper(clock, which, kind)
+                judged = _verdict(times, clock, which, kind)
+                line += [f"{ours:.2f}", f"{paper:.2f}", judged.value]
+            lines.append(line)
+    columns = ["the paper's core", "", "mean [ms]", "paper", "verdict"]
+    columns += ["worst [ms]", "paper", "verdict"]
+    return [
+        Table("Table V: beside the paper", columns, lines, note=_note(times)),
+        Table("Everything measured", times.columns, times.rows(), note=times.note),
+        Table("Messages", times.message_columns, times.message_rows()),
+    ]
+
+
+def computation_verdicts(results: Results) -> list[Verdict]:
+    """Verdicts on all numbers of the paper's table."""
+    times = results.compute_times
+    if times is None:
+        return []
+    return [
+        _verdict(times, clock, which, kind)
+        for clock in _clocks(times)
+        for which in _NAMES
+        for kind in _KINDS
+    ]
+
+
+def local_is_cheaper(results: Results) -> tuple[bool | None, str]:
+    """Whether LA's controller takes less time than the QP, mean and worst, and by how much."""
+    times = results.compute_times
+    if times is None:
+        return None, ""
+    pairs = {kind: [_ms(times, which, kind, 1.0) for which in _NAMES] for kind in _KINDS}
+    told = [f"{kind} {local:.2f} of {qp:.2f} ms" for kind, (qp, local) in pairs.items()]
+    return all(local < qp for qp, local in pairs.values()), ", ".join(told)
+
+
+def _clocks(times: ComputeTimes) -> dict[str, float]:
+    """The paper's two clocks, and what our times are multiplied with for each."""
+    return dict(zip(published()["table5"], (1.0, times.scale), strict=True))
+
+
+def _ms(times: ComputeTimes, which: str, kind: str, factor: float) -> float:
+    measured = times.time(_NAMES[which])
+    return factor * (measured.mean_ms if kind == "mean" else measured.worst_ms)
+
+
+def _paper(clock: str, which: str, kind: str) -> float:
+    return float(published()["table5"][clock][which][kind])
+
+
+def _verdict(times: ComputeTimes, clock: str, which: str, kind: str) -> Verdict:
+    """Same ordering: the local controller takes less than the QP."""
+    ours = _ms(times, which, kind, _clocks(times)[clock])
+    local, qp = (_ms(times, name, kind, 1.0) for name in ("local", "qp"))
+    return verdict(within(ours, _paper(clock, which, kind)), local < qp)
+
+
+def _note(times: ComputeTimes) -> str:
+    return (
+        f"The paper's core is a Xeon at these clocks; ours, {times.cpu}, at its own speed for the "
+        f"first and with times × {times.scale:g} for the second."
+    )

@@ -1,0 +1,74 @@
+"""How the numbers of a report came about: commands, machine, versions, and what each study took."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from experiments.reproduction.layout import Table, in_markdown
+from experiments.reproduction.results import Results
+from experiments.reproduction.sections import STUDIES
+
+_PACKAGES = ("python", "mujoco", "pin", "daqp", "numpy")
+
+About = dict[str, Any]
+
+
+def how_it_was_made(results: Results) -> list[str]:
+    """Paragraphs in Markdown."""
+    abouts = {name: results.about(name) for name in STUDIES if results.rows(name)}
+    if not abouts:
+        return ["No study has been played."]
+    quick = " --quick" if any(results.shortened(name) for name in abouts) else ""
+    return [
+        f"```sh\npython -m experiments run all{quick}\npython -m experiments report\n```",
+        f"Machine: {_each(abouts, _machine)}. Versions: {_each(abouts, _versions)}. Commit: "
+        f"{_each(abouts, _commit)}.",
+        "Trials run on a simulated clock: the same configuration and seed give the same trial to "
+        "the last bit. `python -m experiments check docs/results/trials/STUDY` plays a sample of "
+        "them again and compares. Seed k has the same noise and the same profile in every cell of "
+        "a study.",
+        in_markdown(_studies(results, abouts)),
+    ]
+
+
+def _studies(results: Results, abouts: Mapping[str, About]) -> Table:
+    lines, trials, minutes = [], 0, 0.0
+    for name, about in abouts.items():
+        rows, took = results.rows(name), about["trial_seconds"] / 60
+        failed = sum(row["error"] is not None for row in rows)
+        lines.append(
+            [
+                f"[{name}](results/trials/{name}/study.toml)",
+                str(len(rows)),
+                str(len({row["seed"] for row in rows})),
+                str(failed),
+                f"{took:.1f}",
+                f"{len(rows) / took:.1f}",
+                about["date"][:16].replace("T", " "),
+            ]
+        )
+        trials, minutes = trials + len(rows), minutes + took
+    lines.append(["together", str(trials), "", "", f"{minutes:.1f}", f"{trials / minutes:.1f}", ""])
+    columns = ["study", "trials", "seeds", "ended with an error"]
+    columns += ["minutes of a core", "trials per minute of a core", "finished"]
+    return Table("What was played", columns, lines)
+
+
+def _each(abouts: Mapping[str, About], said: Callable[[About], str]) -> str:
+    """What is said of the studies, each different thing once."""
+    return "; ".join(dict.fromkeys(said(about) for about in abouts.values()))
+
+
+def _machine(about: About) -> str:
+    machine = about["machine"]
+    return f"{machine['cpu']}, {machine['cores']} cores, {about['workers']} workers"
+
+
+def _versions(about: About) -> str:
+    return ", ".join(f"{name} {about['versions'][name]}" for name in _PACKAGES)
+
+
+def _commit(about: About) -> str:
+    changed = " with uncommitted changes" if about["dirty"] else ""
+    return f"{(about['commit'] or 'unknown')[:10]}{changed} (code {about['code']})"

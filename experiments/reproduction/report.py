@@ -1,0 +1,147 @@
+"""`python -m experiments report`: a page of what `run` has found, with its trials and figures.
+
+`docs/results.md`, figures beside it, and under `docs/results/trials/STUDY` the table, the study
+and how it was made, which is what `python -m experiments check` plays a sample of again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from experiments.reproduction.claims import Claim, claims
+from experiments.reproduction.layout import Table, in_markdown
+from experiments.reproduction.provenance import how_it_was_made
+from experiments.reproduction.results import FIGURE_FOLDER, Results
+from experiments.reproduction.run import DEFAULT_OUT
+from experiments.reproduction.sections import SECTIONS, STUDIES
+from experiments.reproduction.verdict import RULE, Verdict
+from shared.cli import EXIT_STANDING
+from shared.errors import ConfigError
+
+_KEPT = ("study.toml", "trials.parquet", "about.json")
+_FIGURES = {
+    "fig4": (
+        "Figure 4: an instance of the delay in each scenario",
+        "Round trip of a message sent at each instant, over one shipped profile of each scenario.",
+    ),
+    "fig5": (
+        "Figure 5: balance over a stalling link",
+        "The link stalls for 155 ms while the robot still leans from the push (red). PR stands, "
+        "but its feet are torn from the ground; the violation's axis is logarithmic.",
+    ),
+    "fig6": (
+        "Figure 6: a walk of LA through two outages",
+        "Contact violation rises with the age of the projector and falls when an answer comes, "
+        "also where the outage covers a contact switch (dotted, 2.6 s and 4.2 s), around which the "
+        "robot solves QPs itself. No measurement noise, as in the paper.",
+    ),
+}
+
+
+def add_report_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `report`."""
+    parser.add_argument(
+        "--out", type=Path, default=DEFAULT_OUT, metavar="DIR", help="folder of `run`"
+    )
+    parser.add_argument("--docs", type=Path, default=Path("docs"), metavar="DIR")
+
+
+def run_report(arguments: argparse.Namespace) -> int:
+    """Write the page and copy what it rests on; prints which claims hold."""
+    results = Results(arguments.out)
+    if not results.folder.is_dir():
+        raise ConfigError(
+            f"out: expected a folder of `python -m experiments run`, got {results.folder}: no such "
+            "folder"
+        )
+    found = claims(results)
+    page = arguments.docs / "results.md"
+    try:
+        arguments.docs.mkdir(parents=True, exist_ok=True)
+        page.write_text(report_text(results, found), encoding="utf-8")
+        _copy(results, arguments.docs)
+    except OSError as error:
+        raise ConfigError(f"docs: cannot write {error.filename}: {error.strerror}") from None
+    for claim in found:
+        print(claim)
+    print(page)
+    return EXIT_STANDING
+
+
+def report_text(results: Results, found: Sequence[Claim]) -> str:
+    """The page in Markdown."""
+    parts = [
+        "# The paper's tables and figures, made anew",
+        "H. Zhu et al., *Enabling Remote Whole-Body Control with 5G Edge Computing* (2020), "
+        "Tables II–VI and Figures 4–6: our trials beside the numbers that the paper prints. PR "
+        "applies the last torque received, LA the last projector to fresh feedback; LC, ours, "
+        "corrects a factorisation locally; *full QP, 0 ms* is solved for every state without "
+        "delay. This page is written by `python -m experiments report`. Why numbers differ, and "
+        "what the paper leaves open: [reproduction.md](reproduction.md).",
+        *_missing(results),
+        "## What the paper concludes, checked",
+        "\n".join(f"* {claim}" for claim in found),
+        "## How numbers are judged",
+        RULE,
+        in_markdown(_summary(results)),
+    ]
+    for section in sorted(SECTIONS.values(), key=lambda section: section.name):
+        tables = section.tables(results)
+        if tables:
+            parts += [f"## {section.title}", *map(in_markdown, tables)]
+    for name, (title, caption) in _FIGURES.items():
+        if (results.folder / FIGURE_FOLDER / f"{name}.png").is_file():
+            picture = f"![{title}](figures/{name}.png)"
+            parts += [f"## {title}", picture, f"{caption} ([SVG](figures/{name}.svg))"]
+    parts += ["## How it was made", *how_it_was_made(results)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _missing(results: Results) -> list[str]:
+    """What has not been played, and what was played shorter than it is shipped."""
+    absent = [name for name in STUDIES if not results.rows(name)]
+    absent += ["table5"] * (results.compute_times is None)
+    absent += [
+        name for name in _FIGURES if not (results.folder / FIGURE_FOLDER / f"{name}.png").is_file()
+    ]
+    short = [name for name in STUDIES if results.shortened(name)]
+    short += ["table5"] * bool((results.compute_times_file or {}).get("quick"))
+    said = []
+    if absent:
+        said.append(
+            f"> **Incomplete.** Not there: {', '.join(absent)}. `python -m experiments run all"
+            f"{' --quick' * bool(short)} --out {results.folder}` goes on with it."
+        )
+    if short:
+        said.append(f"> **Quick.** With `--quick`, on few seeds: {', '.join(short)}.")
+    return said
+
+
+def _summary(results: Results) -> Table:
+    lines = []
+    for section in sorted(SECTIONS.values(), key=lambda section: section.name):
+        counts = Counter(section.verdicts(results))
+        judged = [Verdict.SAME_OR_BETTER, Verdict.SAME_ORDERING, Verdict.DIFFERS]
+        if counts:
+            numbers = [str(counts[each]) for each in judged]
+            lines.append([section.title, str(sum(counts.values())), *numbers])
+    columns = ["", "numbers", *(each.value for each in judged)]
+    return Table("Verdicts", columns, lines)
+
+
+def _copy(results: Results, docs: Path) -> None:
+    """Figures and trials beside the page."""
+    for source in sorted((results.folder / FIGURE_FOLDER).glob("fig*")):
+        target = docs / "figures" / source.name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target)
+    for name in STUDIES:
+        if results.rows(name):
+            folder = docs / "results" / "trials" / name
+            folder.mkdir(parents=True, exist_ok=True)
+            for kept in _KEPT:
+                shutil.copyfile(results.folder / name / kept, folder / kept)

@@ -1,0 +1,114 @@
+"""`python -m experiments run table2 fig5 …`: plays what a table or figure needs, and prints it.
+
+Each study goes into a folder of its own below `--out`, where finished trials are kept, so that the
+same command goes on after an interruption. Whatever is shared by several tables is played once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from experiments.journal import code_version
+from experiments.reproduction.compute_times import QUICK_SECONDS, measure
+from experiments.reproduction.figures import FIGURES
+from experiments.reproduction.layout import in_columns
+from experiments.reproduction.results import COMPUTE_TIMES, FIGURE_FOLDER, Results
+from experiments.reproduction.sections import SECTIONS
+from experiments.study import read_study
+from experiments.sweep import sweep, workers_from
+from shared.cli import EXIT_STANDING
+from shared.errors import ConfigError
+
+ALL = "all"
+# Computation times first, while the cores are idle; then the cheapest.
+NAMES = ("table5", *FIGURES, *(name for name in SECTIONS if name != "table5"))
+DEFAULT_OUT = Path("runs") / "reproduction"
+QUICK_OUT = Path("runs") / "reproduction-quick"
+
+
+def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `run`."""
+    parser.add_argument(
+        "names", nargs="+", metavar="NAME", help=f"{', '.join(sorted(NAMES))}, or {ALL}"
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer seeds and delays: minutes")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+    parser.add_argument(
+        "--scheduler", metavar="tcp://HOST:8786", help="play on this Dask cluster instead"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help=f"default {DEFAULT_OUT}, of --quick {QUICK_OUT}"
+    )
+
+
+def run_reproduction(arguments: argparse.Namespace) -> int:
+    """Play, measure and draw what is asked for, and print each table."""
+    names = chosen(arguments.names)
+    workers_from(arguments.workers)  # a number that cannot be is an error now
+    out = arguments.out or (QUICK_OUT if arguments.quick else DEFAULT_OUT)
+    try:
+        _run(names, out, arguments)
+    except OSError as error:
+        raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on", file=sys.stderr)
+        raise
+    return EXIT_STANDING
+
+
+def chosen(names: Sequence[str]) -> list[str]:
+    """The names to run, in the order of NAMES; ConfigError for one that does not exist."""
+    for name in names:
+        if name not in (*NAMES, ALL):
+            raise ConfigError(f"run: expected {', '.join(sorted(NAMES))} or {ALL}, got {name!r}")
+    return [name for name in NAMES if name in names or ALL in names]
+
+
+def _run(names: Sequence[str], out: Path, arguments: argparse.Namespace) -> None:
+    needed = (SECTIONS[name].studies for name in names if name in SECTIONS)
+    studies = list(dict.fromkeys(study for names in needed for study in names))
+    for number, name in enumerate(names, start=1):
+        _say(f"{name}, {number} of {len(names)}")
+        if name in FIGURES:
+            FIGURES[name](out / FIGURE_FOLDER)
+            continue
+        if name == "table5":
+            _measure(out, quick=arguments.quick)
+        for study in SECTIONS[name].studies:
+            if study in studies:
+                _say(f"{name}: study {study}, {len(studies)} to go")
+                _play(study, out, arguments)
+                studies.remove(study)
+        for table in SECTIONS[name].tables(Results(out)):
+            print(f"\n{in_columns(table)}")
+        print(flush=True)
+    _say(f"done: {out}; python -m experiments report --out {out} makes a page of it")
+
+
+def _play(name: str, out: Path, arguments: argparse.Namespace) -> None:
+    sweep(
+        read_study(name, quick=arguments.quick),
+        out=out / name,
+        workers=workers_from(arguments.workers),
+        scheduler=arguments.scheduler,
+    )
+
+
+def _measure(out: Path, *, quick: bool) -> None:
+    """Computation times, unless this code's are there."""
+    about = {"code": code_version(), "quick": quick}
+    kept = Results(out).compute_times_file
+    if kept is not None and about.items() <= kept.items():
+        return
+    measured = measure(seconds=QUICK_SECONDS if quick else None)
+    out.mkdir(parents=True, exist_ok=True)
+    text = json.dumps({**about, "measured": measured.as_json()}, indent=2) + "\n"
+    (out / COMPUTE_TIMES).write_text(text, encoding="utf-8")
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
