@@ -20,7 +20,7 @@ _SECONDS = 10.0
 _PREFIX = "wbc-"
 _DEVICE = "cable"
 # What the cable holds back beyond its rate before it drops, as a modem's buffer does.
-_QUEUE = "50ms"
+QUEUE_MS = 50
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,7 @@ def two_machines(*, rate: str) -> Iterator[Machines]:
             raise UserError(f"namespaces: expected {tool} of iproute2 on this machine, found none")
     if os.geteuid() != 0:
         raise UserError("namespaces: only root may make them; run as root")
-    _remove_leftovers()
-    machines = Machines(
-        robot=Machine(f"{_PREFIX}robot-{os.getpid()}", "10.77.0.1"),
-        edge=Machine(f"{_PREFIX}edge-{os.getpid()}", "10.77.0.2"),
-    )
+    machines = name_machines()
     made: list[Machine] = []
     try:
         for machine in (machines.robot, machines.edge):
@@ -75,6 +71,15 @@ def two_machines(*, rate: str) -> Iterator[Machines]:
             _run("ip", "netns", "delete", machine.namespace, check=False)
 
 
+def name_machines() -> Machines:
+    """Two machines that only this process has, yet to be made. Those of killed ones are removed."""
+    _remove_leftovers()
+    return Machines(
+        robot=Machine(f"{_PREFIX}robot-{os.getpid()}", "10.77.0.1"),
+        edge=Machine(f"{_PREFIX}edge-{os.getpid()}", "10.77.0.2"),
+    )
+
+
 def _remove_leftovers() -> None:
     for path in Path("/run/netns").glob(f"{_PREFIX}*-*"):
         pid = path.name.rpartition("-")[2]
@@ -87,7 +92,7 @@ def _connect(machine: Machine, *, rate: str) -> None:
     _run(*inside, "address", "add", f"{machine.address}/24", "dev", _DEVICE)
     for device in ("lo", _DEVICE):
         _run(*inside, "link", "set", device, "up")
-    limit = ("tbf", "rate", rate, "burst", "64kb", "latency", _QUEUE)
+    limit = ("tbf", "rate", rate, "burst", "64kb", "latency", f"{QUEUE_MS}ms")
     _run("tc", "-n", machine.namespace, "qdisc", "add", "dev", _DEVICE, "root", *limit)
 
 

@@ -1,7 +1,8 @@
 """Measure a real path on one machine: robot and edge in two namespaces, a slow cable in between.
 
-For each rate and send buffer a run of its own; prints a table of how old projectors are when they
-are used, and how many the link did not take. As root: `.venv/bin/python -m deploy.real_path`.
+For each rate, round trip, protocol and send buffer a run of its own; prints a table of how old
+projectors are when they are used, and how many the link did not take. As root:
+`.venv/bin/python -m deploy.real_path`.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import shared.single_thread  # noqa: F401
 # isort: on
 import argparse
 import contextlib
+import itertools
 import json
 import os
 import signal
@@ -22,8 +24,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+from deploy.distant import two_distant_machines
+from deploy.keys import make
 from deploy.namespaces import Machine, Machines, two_machines
 from shared.cli import EXIT_STANDING, Parser, run
+from shared.config import RobotConfig
 from shared.errors import LinkError
 from shared.report import versions
 
@@ -34,6 +39,15 @@ _READY_SECONDS, _STOP_SECONDS = 60.0, 30.0
 def main() -> int:
     parser = Parser(prog="deploy.real_path", description=__doc__)
     parser.add_argument("--rate", nargs="+", default=["100mbit", "300mbit"], help="as tc writes it")
+    parser.add_argument(
+        "--round-trip",
+        nargs="+",
+        metavar="MS",
+        type=float,
+        default=[0.0],
+        help="of the cable [ms]; not 0: it is python -m netem packets",
+    )
+    parser.add_argument("--protocol", nargs="+", default=["tcp"], choices=("tcp", "tls", "quic"))
     parser.add_argument(
         "--send-buffer",
         nargs="+",
@@ -49,19 +63,23 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     found = versions()
     print(f"{found['platform']}, {os.cpu_count()} cores, Zenoh {found['eclipse-zenoh']}\n")
-    print("| cable | send buffer | age p50, p99 ms | projectors sent | received | lost |")
-    print("|---|---|---|---|---|---|", flush=True)
-    for rate in arguments.rate:
-        for buffer in arguments.send_buffer:
-            with two_machines(rate=rate) as machines, tempfile.TemporaryDirectory() as folder:
-                row = _trial(
-                    machines,
-                    Path(folder),
-                    settings="" if buffer is None else f"#so_sndbuf={buffer}",
-                    duration=arguments.duration,
-                    controller=arguments.controller,
-                )
-            print(f"| {rate} | {buffer or 'ours'} | {row} |", flush=True)
+    print("| cable | round trip | over | send buffer | age p50, p99 ms | sent | received | lost |")
+    print("|---|---|---|---|---|---|---|---|", flush=True)
+    cases = itertools.product(
+        arguments.rate, arguments.round_trip, arguments.protocol, arguments.send_buffer
+    )
+    for rate, round_trip_ms, protocol, buffer in cases:
+        with _machines(rate, round_trip_ms) as machines, tempfile.TemporaryDirectory() as folder:
+            row = _trial(
+                machines,
+                Path(folder),
+                protocol=protocol,
+                settings="" if buffer is None else f"#so_sndbuf={buffer}",
+                duration=arguments.duration,
+                controller=arguments.controller,
+            )
+        case = f"{rate} | {round_trip_ms:g} ms | {protocol} | {buffer or 'ours'}"
+        print(f"| {case} | {row} |", flush=True)
     return EXIT_STANDING
 
 
@@ -73,16 +91,32 @@ def _buffer(text: str) -> int | None:
     return int(text)
 
 
+def _machines(rate: str, round_trip_ms: float) -> contextlib.AbstractContextManager[Machines]:
+    if round_trip_ms == 0.0:
+        return two_machines(rate=rate)
+    return two_distant_machines(rate=rate, round_trip_ms=round_trip_ms)
+
+
 def _trial(
-    machines: Machines, folder: Path, *, settings: str, duration: float, controller: str
+    machines: Machines,
+    folder: Path,
+    *,
+    protocol: str,
+    settings: str,
+    duration: float,
+    controller: str,
 ) -> str:
     """One run; age p50 and p99, and projectors sent, received and lost."""
-    endpoint = f"tcp/{machines.edge.address}:{_PORT}"
+    endpoint = f"{protocol}/{machines.edge.address}:{_PORT}"
+    secure: tuple[str, ...] = ()
+    if protocol != "tcp":
+        make(folder / "keys", robots=[RobotConfig().name], hosts=[machines.edge.address])
+        secure = ("--secure", str(folder / "keys"))
     there, here = folder / "edge", folder / "robot"
     serving = _start(
         machines.edge,
         folder / "edge.txt",
-        *("--only", "edge", "--listen", endpoint + settings, "--out", str(there)),
+        *("--only", "edge", "--listen", endpoint + settings, "--out", str(there), *secure),
     )
     try:
         _wait_for_line(serving, folder / "edge.txt", "READY")
@@ -90,7 +124,7 @@ def _trial(
             machines.robot,
             folder / "robot.txt",
             *("--only", "robot", "--edge", endpoint, "--out", str(here), "--push", "none"),
-            *("--duration", str(duration), "--controller", controller),
+            *("--duration", str(duration), "--controller", controller, *secure),
         )
         try:
             with contextlib.suppress(subprocess.TimeoutExpired):
