@@ -32,7 +32,7 @@ from experiments.journal import ROOT, Record, code_version, open_journal
 from experiments.progress import Progress
 from experiments.study import read_study
 from experiments.trial_table import row_of, table_in_words, write_trials
-from experiments.workers import Players, players
+from experiments.workers import EXAMPLE, Players, players
 from shared.cli import EXIT_STANDING
 from shared.errors import ConfigError
 from shared.report import cpu_name, versions
@@ -46,7 +46,7 @@ def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
     parser.add_argument(
         "--scheduler",
-        metavar="tcp://HOST:8786",
+        metavar=EXAMPLE,
         help="play on the Dask cluster of this scheduler instead",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="default runs/sweep-STUDY")

@@ -12,9 +12,11 @@ import shared.single_thread  # noqa: F401
 # isort: on
 import asyncio
 import contextlib
+import logging
 import multiprocessing
 import os
 import queue
+import re
 import signal
 import threading
 import time
@@ -31,6 +33,7 @@ from shared.config import RunConfig
 from shared.errors import ConfigError, UserError
 from shared.report import versions
 
+EXAMPLE = "tcp://HOST:8786"
 # A scheduler that answers at all answers within milliseconds; a worker may be just starting.
 _SCHEDULER_WITHIN = 5.0
 _WORKER_WITHIN = 20.0
@@ -136,32 +139,39 @@ def _cluster(address: str) -> Iterator[Players]:
         raise ConfigError(
             "--scheduler: needs the package distributed, as pip install '.[dask]' brings it"
         ) from None
+    expected = f"--scheduler: expected a Dask scheduler, as {EXAMPLE}, got {address!r}"
+    if not re.fullmatch(r"(tcp|tls)://.+:[0-9]+", address):
+        raise ConfigError(expected)
+    # What ends it is told in one line, below.
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         client = distributed.Client(address, timeout=_SCHEDULER_WITHIN, set_as_default=False)
-    except (OSError, ValueError, asyncio.TimeoutError) as error:
-        raise ConfigError(
-            f"--scheduler: expected the address of a Dask scheduler, as tcp://HOST:8786, got "
-            f"{address!r}: {_in_a_line(error)}"
-        ) from None
+    except (OSError, asyncio.TimeoutError) as error:
+        raise ConfigError(f"{expected}: {_in_a_line(error)}") from None
     try:
         try:
             client.wait_for_workers(1, timeout=_WORKER_WITHIN)
+            number = len(client.nthreads())
         except (OSError, asyncio.TimeoutError):
             raise ConfigError(
-                f"--scheduler: {address} has no worker after {_WORKER_WITHIN:g} s; start some, "
-                f"with dask worker {address} --nthreads 1"
+                f"--scheduler: {address} has no worker after {_WORKER_WITHIN:g} s; start some in a "
+                f"checkout of this commit: PYTHONPATH=. dask worker {address} --nthreads 1"
             ) from None
         makings = _makings()
 
         def submit(trial: Trial) -> Any:
-            return client.submit(
-                _play_there, trial.config, trial.all_active_sets, makings, pure=False
-            )
+            given = (trial.config, trial.all_active_sets, makings)
+            return client.submit(_play_there, *given, pure=False)
 
-        lost = f"--scheduler: a trial was lost by {address} or its workers"
-        yield Players(submit, number=len(client.nthreads()), lost=lost)
+        lost = (
+            f"--scheduler: a trial was lost by {address} or its workers, which have to run in a "
+            "checkout of this commit, with PYTHONPATH=."
+        )
+        yield Players(submit, number=number, lost=lost)
     finally:
-        client.close()
+        # It forgets what has not begun; a scheduler that is gone has nothing to forget.
+        with contextlib.suppress(OSError, asyncio.TimeoutError):
+            client.close()
 
 
 def _play_there(config: RunConfig, all_active_sets: bool, makings: dict[str, str]) -> Record:
