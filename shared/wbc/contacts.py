@@ -36,7 +36,7 @@ class ContactMode(enum.IntEnum):
     @property
     def feet_indices(self) -> tuple[int, ...]:
         """The loaded feet as numbers: 0 left, 1 right."""
-        return tuple(k for k, foot in enumerate(Foot) if foot in self.feet)
+        return _LOADED_INDICES[self]
 
     def active_set(self, rows: np.ndarray) -> int:
         """Row indices of C in this mode as a bit mask that means the same in every mode.
@@ -51,6 +51,9 @@ _LOADED = {
     ContactMode.DOUBLE_SUPPORT: (Foot.LEFT, Foot.RIGHT),
     ContactMode.LEFT_SUPPORT: (Foot.LEFT,),
     ContactMode.RIGHT_SUPPORT: (Foot.RIGHT,),
+}
+_LOADED_INDICES = {
+    mode: tuple(k for k, foot in enumerate(Foot) if foot in feet) for mode, feet in _LOADED.items()
 }
 
 

@@ -68,8 +68,8 @@ def condense(stack: Stack, matrices: StackMatrices, b: np.ndarray) -> CondensedQ
     F = F_S[:, :N_DYNAMICS] @ E_f
     F.flat[:: F.shape[0] + 1] += stack.force_weight
     a_from_f = -Q[:, :N_DYNAMICS] @ E_f
-    a_from_b = np.hstack([Q, P_A])
-    R = np.hstack([F_S, a_from_f.T @ A.T])
+    a_from_b = np.concatenate([Q, P_A], axis=1)
+    R = np.concatenate([F_S, a_from_f.T @ A.T], axis=1)
     problem = QuadraticProgram(H=F, g=-(R @ b[:-1]), C=stack.contacts.C, l=stack.contacts.l)
     return CondensedQp(problem, R, spd_inverse(F), a_from_b, a_from_f)
 
