@@ -156,13 +156,6 @@ def test_death_of_a_service_ends_the_run_with_its_name(start: Start, tmp_path: P
     assert descendants_naming(str(out)) == []
 
 
-def test_direct_network_needs_no_shim(start: Start, endpoints: list[str]) -> None:
-    edge = start("edge_node", "--listen", endpoints[0])
-    edge.wait_for("READY")
-    robot = start("robot_node", "--connect", endpoints[0], "--duration", "1", "--push", "none")
-    assert robot.wait() == 0, robot.output
-
-
 def test_robot_balances_on_its_cache_while_the_edge_is_dead(
     start: Start, endpoints: list[str], tmp_path: Path
 ) -> None:

@@ -1,0 +1,47 @@
+"""What a recording is told on its command line, and one line for what it cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from netem.recorder.record import add_record_arguments, run_record
+from shared.cli import Command, run, run_command
+
+NEAR = ("--connect", "tcp/127.0.0.1:1")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (NEAR, "out: expected the profile to write"),
+        ((*NEAR, "--out", "x.dat"), "ends in .npz or .csv"),
+        ((*NEAR, "--out", "/proc/x.npz"), "out: cannot write"),
+        ((*NEAR, "--out", "x.npz", "--rate", "1e6"), "rate: expected from 10 to 5000"),
+        ((*NEAR, "--out", "x.npz", "--uplink", "1MB"), "uplink: expected a size from"),
+        ((*NEAR, "--out", "x.npz", "--seconds", "0"), "seconds: expected from 0.1"),
+        (("--listen", "tcp/127.0.0.1:1", "--seconds", "5"), "seconds: the near end says it"),
+        (("--listen", "tcp/127.0.0.1:1", *NEAR), "not allowed with"),
+        ((), "one of the arguments --listen --connect is required"),
+    ],
+)
+def test_a_mistake_is_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    options: tuple[str, ...],
+    told: str,
+) -> None:
+    # Away from the project's folder, should a file be written after all.
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["netem", "record", *options])
+    commands = (Command("record", "", add_record_arguments, run_record),)
+    with pytest.raises(SystemExit) as ended:
+        run(lambda: run_command("netem", None, commands))
+    assert ended.value.code == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert told in captured.err
+    assert list(tmp_path.iterdir()) == []
