@@ -92,7 +92,7 @@ def run_check(arguments: argparse.Namespace) -> int:
         print(f"row {difference.number} ({label}) differs: {difference.said}")
     print(
         f"{count} of {len(rows)} trials played again (--seed {seed}): "
-        + (f"{len(different)} rows differ" if different else "all rows identical")
+        + (f"rows that differ: {len(different)}" if different else "all rows identical")
     )
     return EXIT_DIFFERENT if different else EXIT_STANDING
 

@@ -1,0 +1,169 @@
+"""`check` plays trials again and finds a row that is not what they come to."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from experiments.check import add_check_arguments, difference, matched, run_check
+from experiments.study import read_study
+from experiments.sweep import sweep
+from experiments.trial_table import read_trials
+from shared.errors import ConfigError
+
+STUDY = """
+seeds = 2
+columns = ["fell", "com_error_m", "realtime_factor", "active_set_discrepancy.ticks", "log_hash"]
+all_active_sets = true
+
+[base]
+duration = 0.05
+push = []
+
+[grid]
+link.network = ["constant:0ms", "generated:factory"]
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The folder of a finished sweep, without its journal."""
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "short.toml").write_text(STUDY)
+    sweep(read_study(folder / "short.toml"), out=folder / "out")
+    (folder / "out" / "trials.jsonl").unlink()
+    return folder / "out"
+
+
+@pytest.fixture
+def folder(finished, tmp_path):
+    """A copy of it, to spoil."""
+    return shutil.copytree(finished, tmp_path / "spoilt")
+
+
+def check(folder, *options):
+    parser = argparse.ArgumentParser()
+    add_check_arguments(parser)
+    return run_check(parser.parse_args([str(folder), "--workers", "1", *options]))
+
+
+def spoil(folder, **cells):
+    """Other values in row 2, by the names of their columns."""
+    rows = read_trials(folder).to_pylist()
+    rows[2].update({name.replace("__", "."): value for name, value in cells.items()})
+    pq.write_table(pa.Table.from_pylist(rows), folder / "trials.parquet")
+
+
+def test_an_untouched_sweep_is_identical_from_its_table_alone(finished, capsys):
+    assert check(finished, "--sample", "9") == 0
+    assert "4 of 4 trials played again" in capsys.readouterr().out
+
+
+def test_a_changed_cell_is_named_with_its_row_whatever_the_code(folder, capsys):
+    rows = read_trials(folder).to_pylist()
+    ticks = rows[2]["active_set_discrepancy.ticks"]
+    spoil(
+        folder,
+        com_error_m=rows[2]["com_error_m"] * (1 + 1e-15),
+        active_set_discrepancy__ticks=[ticks[0] + 1, *ticks[1:]],
+        realtime_factor=99.0,  # measured: not compared
+    )
+    about = json.loads((folder / "about.json").read_text())
+    (folder / "about.json").write_text(json.dumps(about | {"code": "other"}))
+    assert check(folder, "--sample", "4", "--seed", "1") == 1
+    said = capsys.readouterr()
+    assert f"the code is another: {folder} was played with other" in said.err
+    (line,) = (line for line in said.out.splitlines() if line.startswith("row "))
+    assert line.startswith("row 2 (link.network=generated:factory, seed=0) differs: com_error_m is")
+    assert f"active_set_discrepancy.ticks is {[ticks[0] + 1, *ticks[1:]]}, played again" in line
+    assert "realtime_factor" not in line
+    assert "4 of 4 trials played again (--seed 1): rows that differ: 1" in said.out
+
+
+def test_a_row_of_no_trial_differs_without_being_played(folder, capsys):
+    spoil(folder, seed=7)
+    assert check(folder, "--sample", "1", "--seed", "0") == 1
+    said = capsys.readouterr().out
+    assert "row 2 (link.network=generated:factory, seed=7) differs: the study has no such" in said
+    assert "1 of 4 trials played again" in said
+
+
+def test_a_sample_is_drawn_by_its_seed(finished, capsys, monkeypatch):
+    drawn = []
+
+    def replayed(study, rows, trials, workers):
+        drawn.append(sorted(trials))
+        return []
+
+    monkeypatch.setattr("experiments.check.replayed", replayed)
+    for seed in [*range(60), 3]:
+        assert check(finished, "--sample", "2", "--seed", str(seed)) == 0
+    assert drawn[-1] == drawn[3]
+    assert {tuple(numbers) for numbers in drawn} == {
+        (0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)
+    }  # fmt: skip
+    # Without a seed it says which one to repeat it with.
+    check(finished)
+    assert "(--seed " in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_rows_of_a_bisection_after_a_changed_outcome_are_none_of_its_trials(study_of):
+    study = study_of(
+        """
+        seeds = 1
+        [bisect]
+        setting = "loop.edge_compute_ns"
+        value = 1
+        high = 64
+        resolution = 8
+        """
+    )
+    rows = [
+        {"loop.edge_compute_ns": at, "seed": 0, "fell": at > 20, "error": None}
+        for at in (64, 32, 16, 24)
+    ]
+    trials, strangers = matched(study, rows)
+    asked = [trials[k].config.loop.edge_compute_ns for k in range(4)]
+    assert (asked, strangers) == ([64, 32, 16, 24], [])
+    rows[1]["fell"] = False
+    trials, strangers = matched(study, rows)
+    assert sorted(trials) == [0, 1]
+    assert [stranger.number for stranger in strangers] == [2, 3]
+
+
+def test_a_column_in_one_row_only_is_a_difference():
+    assert difference({"a": 1, "b": [1, None]}, {"a": 1, "b": [1, None]}) == ""
+    assert difference({"a": 1}, {"a": 1, "c": None}) == "c is not there, played again None"
+    assert difference({"a": 1, "c": 2}, {"a": 1}) == "c is 2, played again not there"
+    assert difference({"robot_tick_ms.p50": 1.0}, {"robot_tick_ms.p50": 2.0}) == ""
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "said"),
+    [
+        ("about.json", None, "no about.json with the version of its code"),
+        ("about.json", "[]", "no about.json with the version of its code"),
+        ("trials.parquet", None, "no trials.parquet"),
+        ("trials.parquet", "PAR1", "cannot read "),
+        ("study.toml", "seeds =", "is not valid TOML"),
+    ],
+)
+def test_what_is_no_finished_sweep_is_refused_in_one_line(folder, file, text, said):
+    (folder / file).unlink()
+    if text is not None:
+        (folder / file).write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        check(folder)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("option", ["--sample=0", "--seed=-1", "--workers=0"])
+def test_numbers_that_cannot_be_are_refused(finished, option):
+    with pytest.raises(ConfigError, match=f"{option[:-2].rstrip('=')}: expected at least"):
+        check(finished, option)
