@@ -48,7 +48,9 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
 def run_reproduction(arguments: argparse.Namespace) -> int:
     """Play, measure and draw what is asked for, and print each table."""
     names = chosen(arguments.names)
-    workers_from(arguments.workers)  # a number that cannot be is an error now
+    if arguments.scheduler is not None and arguments.workers is not None:
+        raise ConfigError("--workers: the cluster of --scheduler has its own; expected one of them")
+    workers_from(arguments.workers)  # a number that cannot be is an error before anything is played
     out = arguments.out or (QUICK_OUT if arguments.quick else DEFAULT_OUT)
     try:
         _run(names, out, arguments)

@@ -126,6 +126,7 @@ def test_computation_times_are_kept_for_the_code_that_took_them(monkeypatch, tmp
     assert (
         "| 3.7 GHz | full QP | 0.36 | 0.36 | same or better | 0.80 | 0.70 | same ordering |" in page
     )
+    assert "With `--quick`, on few seeds: table5." in page
     assert "**holds** — Table V: the local controller takes less time than the QP" in page
 
 
@@ -151,6 +152,19 @@ def test_an_unknown_table_is_one_clear_error(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--workers", "0"], "expected at least 1, got 0"),
+        (["--workers", "2", "--scheduler", "tcp://a:1"], "expected one of them"),
+    ],
+)
+def test_workers_that_cannot_be_are_refused_before_anything_is_played(options, said, tmp_path):
+    with pytest.raises(ConfigError, match=said):
+        run_names("fig4", *options, "--out", tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_report_of_nothing_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="no such folder"):
         report("--out", tmp_path / "nowhere", "--docs", tmp_path / "docs")
@@ -160,6 +174,13 @@ def test_a_page_that_cannot_be_written_is_one_clear_error(tmp_path):
     (tmp_path / "docs").write_text("a file")
     with pytest.raises(ConfigError, match="cannot write"):
         report("--out", tmp_path, "--docs", tmp_path / "docs")
+
+
+def test_a_study_that_two_tables_share_is_played_once(monkeypatch, tmp_path):
+    played = []
+    monkeypatch.setattr(run, "sweep", lambda study, **options: played.append(study.name))
+    assert run_names("table2", "table3", "table4", "--quick", "--out", tmp_path) == 0
+    assert sorted(played) == [name for name in STUDIES if name != "table6"]
 
 
 def test_an_interruption_says_that_the_same_command_goes_on(monkeypatch, tmp_path, capsys):

@@ -216,6 +216,16 @@ def test_table_vi_orders_errors_by_that_without_discrepancy(complete):
     assert len(walk.lines) == 15
 
 
+def test_table_vi_leaves_out_who_fell(tmp_path):
+    def half(trial):
+        return None if trial.config.seed == 0 else (0.01, 0.0)
+
+    finished(tmp_path, "table6", world=half, seeds=2)
+    walk, _ = discrepancy_tables(Results(tmp_path))
+    assert walk.lines[0][1] == "600"
+    assert "of 1 trials" in walk.note
+
+
 def test_all_claims_hold_in_a_world_like_the_papers(complete):
     assert [claim.sentence for claim in claims(complete) if claim.holds is not True] == [
         "Table V: the local controller takes less time than the QP"
