@@ -51,7 +51,7 @@ def draw_fig5(folder: Path) -> None:
     network = study.trials[0].config.link.network
     with mpl.rc_context(_STYLE):
         figure = _over_time(traces, f"Balance in the smart factory, {network}; red: the push")
-        # PR's violation is a thousand times LA's.
+        # Of three controllers, each has a violation of another order of magnitude.
         figure.axes[2].set(yscale="log", ylim=(1e-4, None))
         _save(figure, folder / "fig5")
 

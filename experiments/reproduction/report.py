@@ -30,8 +30,8 @@ _FIGURES = {
     ),
     "fig5": (
         "Figure 5: balance over a stalling link",
-        "The link stalls for 155 ms while the robot still leans from the push (red). PR stands, "
-        "but its feet are torn from the ground; the violation's axis is logarithmic.",
+        "From the end of the push (red) on, the link stalls for 155 ms. The axis of the violation "
+        "is logarithmic.",
     ),
     "fig6": (
         "Figure 6: a walk of LA through two outages",
