@@ -6,6 +6,7 @@ from __future__ import annotations
 import shared.single_thread  # noqa: F401
 
 # isort: on
+from experiments.atlas import add_atlas_arguments, run_atlas
 from experiments.check import add_check_arguments, run_check
 from experiments.corrections import add_corrections_arguments, run_corrections
 from experiments.figure import add_figure_arguments, run_figure
@@ -21,6 +22,7 @@ _COMMANDS = (
     Command("run", "the paper's tables and figures", add_run_arguments, run_reproduction),
     Command("report", "a page of what `run` has found", add_report_arguments, run_report),
     Command("check", "play trials of a finished sweep again", add_check_arguments, run_check),
+    Command("atlas", "how often a robot falls: delay × push", add_atlas_arguments, run_atlas),
     Command("figure", "draw what a sweep has found", add_figure_arguments, run_figure),
     Command(
         "corrections",

@@ -21,7 +21,8 @@ from shared.errors import ConfigError
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-STOOD = "stood"
+STOOD, FELL = "stood", "fell"
+_PARTS = {STOOD: "RdYlGn", FELL: "RdYlGn_r"}
 
 Row = dict[str, Any]
 
@@ -34,7 +35,7 @@ def add_figure_arguments(parser: argparse.ArgumentParser) -> None:
         "--y",
         action="append",
         metavar="COLUMN",
-        help=f"{STOOD} (default), or a column, averaged over those standing; repeatable",
+        help=f"{STOOD} (default), {FELL}, or a column, averaged over those standing; repeatable",
     )
     parser.add_argument("--by", metavar="SETTING", help="a line, or a row of a map, for each value")
     parser.add_argument("--map", action="store_true", help="a map of squares instead of lines")
@@ -49,40 +50,65 @@ def run_figure(arguments: argparse.Namespace) -> int:
     for name in (arguments.x, arguments.by, arguments.panels, *columns):
         if name not in (None, STOOD) and name not in rows[0]:
             raise ConfigError(f"figure: expected one of {', '.join(rows[0])}, got {name!r}")
-    panels = _groups(rows, arguments.panels)
+    draw_figure(
+        rows,
+        columns,
+        x=arguments.x,
+        by=arguments.by,
+        panels=arguments.panels,
+        as_map=arguments.map,
+        out=arguments.out,
+    )
+    print(arguments.out)
+    return EXIT_STANDING
+
+
+def draw_figure(
+    rows: Sequence[Row],
+    columns: Sequence[str],
+    *,
+    x: str,
+    by: str | None,
+    panels: str | None,
+    as_map: bool,
+    out: Path,
+) -> None:
+    """A line of panels for each of `columns`, with a line or a row of a map for each value of `by`.
+
+    Values stand in the order in which the rows have them. ConfigError if it cannot be written.
+    """
+    chosen_by_panel = _groups(rows, panels)
     figure, axes = plt.subplots(
         len(columns),
-        len(panels),
-        figsize=(5.5 * len(panels), 3.8 * len(columns)),
+        len(chosen_by_panel),
+        figsize=(5.5 * len(chosen_by_panel), 3.8 * len(columns)),
         squeeze=False,
         sharey="row",
     )
     for line, column in zip(axes, columns, strict=True):
-        for axis, (panel, chosen) in zip(line, panels.items(), strict=True):
-            lines = {
-                name: _groups(group, arguments.x)
-                for name, group in _groups(chosen, arguments.by).items()
-            }
-            axis.set(title=panel, xlabel=arguments.x)
-            if arguments.map:
+        for axis, (panel, chosen) in zip(line, chosen_by_panel.items(), strict=True):
+            lines = {name: _groups(group, x) for name, group in _groups(chosen, by).items()}
+            axis.set(title=panel, xlabel=x)
+            if as_map:
                 _draw_map(axis, lines, column)
                 continue
             for name, groups in lines.items():
                 _draw(axis, groups, column, name)
             axis.grid(alpha=0.3)
-        if not arguments.map:
-            line[0].set_ylabel("part that stood, 95 %" if column == STOOD else column)
-    if arguments.by and not arguments.map:
+        if as_map:
+            line[0].set_ylabel(by)
+        else:
+            line[0].set_ylabel(f"part that {column}, 95 %" if column in _PARTS else column)
+    if by and not as_map:
         axes[0, 0].legend(fontsize=8)
     figure.tight_layout()
     try:
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(arguments.out, dpi=110)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(out, dpi=110)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"figure: cannot write {arguments.out}: {error}") from None
-    plt.close(figure)
-    print(arguments.out)
-    return EXIT_STANDING
+        raise ConfigError(f"figure: cannot write {out}: {error}") from None
+    finally:
+        plt.close(figure)
 
 
 def _groups(rows: Sequence[Row], name: str | None) -> dict[str, list[Row]]:
@@ -93,12 +119,13 @@ def _groups(rows: Sequence[Row], name: str | None) -> dict[str, list[Row]]:
 
 
 def _value(rows: Sequence[Row], column: str) -> tuple[float, tuple[float, float], str] | None:
-    """What a group comes to, its bounds, and how it is written; None without a trial standing."""
+    """What a group comes to, its bounds, and how it is written; None if there is nothing to say."""
     played = [row for row in rows if row["error"] is None]
     standing = [row for row in played if not row["fell"]]
-    if column == STOOD:
+    if column in _PARTS:
         n, of = len(standing), len(played)
-        return n / of, wilson_interval(n, of), f"{n}/{of}"
+        n = n if column == STOOD else of - n
+        return (n / of, wilson_interval(n, of), f"{n}/{of}") if of else None
     values = [row[column] for row in standing if row[column] is not None]
     if not values:
         return None
@@ -122,8 +149,8 @@ def _draw_map(axis: Any, lines: dict[str, dict[str, list[Row]]], column: str) ->
             if value := _value(rows, column):
                 colours[i, xs.index(x)] = value[0]
                 axis.text(xs.index(x), i, value[2], ha="center", va="center", fontsize=8)
-    limits = {"vmin": 0.0, "vmax": 1.0} if column == STOOD else {}
-    axis.imshow(colours, cmap="RdYlGn" if column == STOOD else "viridis", aspect="auto", **limits)
+    limits = {"vmin": 0.0, "vmax": 1.0} if column in _PARTS else {}
+    axis.imshow(colours, cmap=_PARTS.get(column, "viridis"), aspect="auto", **limits)
     long = any(len(x) > 8 for x in xs)
     axis.set_xticks(
         range(len(xs)), xs, rotation=25 if long else 0, ha="right" if long else "center"

@@ -107,8 +107,13 @@ def read_study(source: str | Path, *, seeds: int | None = None, quick: bool = Fa
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"study: {path} is not valid TOML: {error}") from None
     table.setdefault("name", path.stem)
+    return make_study(table, seeds=seeds, quick=quick)
+
+
+def make_study(table: dict[str, Any], *, seeds: int | None = None, quick: bool = False) -> Study:
+    """The study of a TOML table, which has its `name`; see `read_study`."""
     asked = {} if seeds is None else {"seeds": seeds}
-    where = f"study {path.stem}: "
+    where = f"study {table['name']}: "
     try:
         study = _study(table | asked)
         if quick or "quick" in table:

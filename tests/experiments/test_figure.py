@@ -7,7 +7,7 @@ import argparse
 import pytest
 
 from experiments.corrections import run_corrections
-from experiments.figure import add_figure_arguments, run_figure
+from experiments.figure import FELL, _value, add_figure_arguments, run_figure
 from experiments.study import read_study
 from experiments.sweep import sweep
 from shared.errors import ConfigError
@@ -59,6 +59,13 @@ def test_a_map_has_a_square_for_each_pair_of_values(finished, figure, tmp_path):
     arguments = ("--x", "plant.friction", "--by", "controller", "--map", "--out", out)
     assert figure(finished, *arguments) == 0
     assert out.read_bytes().startswith(PNG)
+
+
+def test_falls_are_counted_like_those_standing(finished, figure, tmp_path):
+    out = tmp_path / "falls.png"
+    assert figure(finished, "--x", "plant.friction", "--y", "fell", "--out", out) == 0
+    assert _value([{"fell": True, "error": None}, {"fell": None, "error": "no"}], FELL)[2] == "1/1"
+    assert _value([{"fell": None, "error": "no"}], FELL) is None
 
 
 def test_an_unknown_column_is_named_with_those_that_exist(finished, figure, tmp_path):

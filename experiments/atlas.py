@@ -1,0 +1,243 @@
+"""How often a robot falls over constant round trip × push × controller: its delay margin as a map.
+
+`python -m experiments atlas --task balance --delays 0ms,50ms --pushes 60N,100N` plays every pair of
+delay and push with each controller and the same seeds, as a study: resumable, on all cores or on a
+cluster. It leaves a heat map with counts, and a row per square in `atlas.parquet`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from experiments.dealing import Study
+from experiments.figure import FELL, draw_figure
+from experiments.study import make_study
+from experiments.study_tables import flattened
+from experiments.sweep import sweep, workers_from
+from experiments.trial_table import wilson_interval
+from experiments.workers import EXAMPLE
+from shared.cli import EXIT_STANDING
+from shared.config import CONTROLLERS, TASKS, RunConfig
+from shared.config_file import load_config
+from shared.errors import ConfigError
+from shared.quantities import parse_duration_ns, parse_push
+from shared.robots import load_robot
+
+DEFAULT_DELAYS = "0ms,10ms,25ms,50ms,90ms,150ms,200ms,400ms"
+# To the side, where the feet are long enough to show a margin; a walk meets it within its third
+# step, on one foot.
+DEFAULT_PUSHES = {
+    "balance": "40N,60N,80N,100N,110N,120N,130N,150N",
+    "walk": "10N,20N,30N,40N,50N,60N,80N,100N",
+}
+DEFAULT_PUSH_AT = {"balance": "1.0s", "walk": "3.0s"}
+# What the axes of the map are called.
+DELAY, PUSH = "round trip", "push"
+
+Row = dict[str, Any]
+
+
+def add_atlas_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `atlas`."""
+    parser.add_argument("--config", type=Path, metavar="FILE.toml", help="settings of all trials")
+    parser.add_argument(
+        "--task", help=f"one of {', '.join(TASKS)}; default: the file's, or balance"
+    )
+    parser.add_argument("--robot", metavar="NAME", help="default: the file's, or romeo")
+    parser.add_argument("--controllers", default="pr,la,lc", metavar="pr,la,…")
+    parser.add_argument("--delays", default=DEFAULT_DELAYS, metavar="0ms,25ms,…")
+    parser.add_argument("--pushes", metavar="0N,60N,…", help="forces on the base")
+    parser.add_argument("--direction", default="+y", help="of the pushes, as in --direction=-x")
+    parser.add_argument("--push-at", metavar="1.0s", help="when the push begins")
+    parser.add_argument("--push-for", default="0.2s", metavar="0.2s", help="how long it lasts")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="of each square; 3")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+    parser.add_argument("--scheduler", metavar=EXAMPLE, help="play on this Dask cluster instead")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default runs/atlas-TASK")
+
+
+def run_atlas(arguments: argparse.Namespace) -> int:
+    """Play what is missing, draw the map and print it."""
+    if arguments.scheduler is not None and arguments.workers is not None:
+        raise ConfigError("--workers: the cluster of --scheduler has its own; expected one of them")
+    workers = workers_from(arguments.workers)
+    study = study_from(arguments)
+    out = arguments.out or Path("runs") / study.name
+    rows = sweep(study, out=out, workers=workers, scheduler=arguments.scheduler)
+    squares = squares_of(rows)
+    text = in_words(squares)
+    shown = [_shown(row) for row in rows]
+    picture = out / "atlas.png"
+    draw_figure(shown, [FELL], x=DELAY, by=PUSH, panels="controller", as_map=True, out=picture)
+    try:
+        pq.write_table(pa.Table.from_pylist(squares), out / "atlas.parquet")
+        (out / "atlas.txt").write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
+    print(text)
+    errors = [row["error"] for row in rows if row["error"] is not None]
+    if errors:
+        print(f"ended with an error: {len(errors)}, the first: {errors[0]}")
+    print(picture)
+    return EXIT_STANDING
+
+
+def study_from(arguments: argparse.Namespace) -> Study:
+    """The study that the options describe; ConfigError for a value that no trial could have."""
+    asked = {"task": arguments.task, "robot.name": arguments.robot}
+    given = {key: value for key, value in asked.items() if value is not None}
+    config = load_config(arguments.config, given)
+    load_robot(config.robot.name)  # an unknown one is an error now, not in a worker
+    task = config.task
+    controllers = _axis("--controllers", arguments.controllers, _controller)
+    delays = sorted(_axis("--delays", arguments.delays, _delay), key=parse_duration_ns)
+    pushes = DEFAULT_PUSHES[task] if arguments.pushes is None else arguments.pushes
+    forces = _axis("--pushes", pushes, _force)
+    # In a map the first row is on top: the strongest push.
+    forces.sort(key=lambda force: -float(force.removesuffix("N")))
+    if not re.fullmatch("[+-][xyz]", arguments.direction):
+        raise ConfigError(f"--direction: expected ±x, ±y or ±z, got {arguments.direction!r}")
+    at = _seconds(
+        "--push-at", DEFAULT_PUSH_AT[task] if arguments.push_at is None else arguments.push_at
+    )
+    if not float(at.removesuffix("s")) < config.duration:
+        raise ConfigError(f"--push-at: expected before the end at {config.duration:g} s, got {at}")
+    lasting = _seconds("--push-for", arguments.push_for)
+    return make_study(
+        {
+            "name": f"atlas-{task}",
+            "description": "how often a robot falls over constant round trip, push and controller",
+            "base": {"task": task, **_changed(config)},
+            "grid": {
+                "controller": controllers,
+                "link.network": [f"constant:{delay}" for delay in delays],
+                "push": [[f"{force}@{at}:{lasting}:{arguments.direction}"] for force in forces],
+            },
+        },
+        seeds=arguments.seeds,
+    )
+
+
+def squares_of(rows: list[Row]) -> list[Row]:
+    """A row per square of the map: how many trials fell of those played, and P(fall) with its
+    Wilson interval of 95 %. Trials that ended with an error are not counted.
+    """
+    trials: dict[tuple[str, str, str], list[bool]] = {}
+    for row in rows:
+        fell = trials.setdefault((row["controller"], row["link.network"], row["push"][0]), [])
+        if row["error"] is None:
+            fell.append(row["fell"])
+    squares = []
+    for (controller, network, push), fell in trials.items():
+        low, high = wilson_interval(sum(fell), len(fell))
+        squares.append(
+            {
+                "controller": controller,
+                "delay_ns": _delay_ns(network),
+                "push": push,
+                "force": _force_of(push),
+                "fell": sum(fell),
+                "played": len(fell),
+                "p_fall": sum(fell) / len(fell) if fell else None,
+                "low": low,
+                "high": high,
+            }
+        )
+    return squares
+
+
+def in_words(squares: list[Row]) -> str:
+    """A line per controller and push, with how many fell of those played at each delay."""
+    delays = sorted({square["delay_ns"] for square in squares})
+    lines = [["", "", *(f"{delay * 1e-6:g} ms" for delay in delays)]]
+    counts = {(s["controller"], s["force"], s["delay_ns"]): s for s in squares}
+    for controller, force in dict.fromkeys((s["controller"], s["force"]) for s in squares):
+        found = [counts[controller, force, delay] for delay in delays]
+        told = [f"{square['fell']}/{square['played']}" for square in found]
+        lines.append([controller.upper(), f"{force:g} N", *told])
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    table = ["  ".join(c.rjust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
+    return "\n".join(["fell of those played, over the round trip", *table])
+
+
+def _shown(row: Row) -> Row:
+    """A trial's row with the words of the map's axes."""
+    delay_ns, force = _delay_ns(row["link.network"]), _force_of(row["push"][0])
+    return {
+        **row,
+        "controller": row["controller"].upper(),
+        DELAY: f"{delay_ns * 1e-6:g} ms",
+        PUSH: f"{force:g} N",
+    }
+
+
+def _delay_ns(network: str) -> int:
+    return parse_duration_ns(network.removeprefix("constant:"))
+
+
+def _force_of(push: str) -> float:
+    return float(push.partition("N@")[0])
+
+
+def _changed(config: RunConfig) -> dict[str, Any]:
+    """What a run has that is not its task's default, by dotted key, without the map's axes."""
+    default = flattened(dataclasses.asdict(load_config(None, {"task": config.task})), "default")
+    settings = flattened(dataclasses.asdict(config), "--config")
+    left_out = ("controller", "link.network", "push", "seed")
+    return {
+        key: value
+        for key, value in settings.items()
+        if value != default[key] and key not in left_out
+    }
+
+
+def _axis(option: str, text: str, check: Callable[[str], str]) -> list[str]:
+    """The values of an axis, each as `check` wants it, none twice."""
+    values = []
+    for given in text.split(","):
+        try:
+            value = check(given.strip())
+        except ConfigError as error:
+            raise ConfigError(f"{option}: {error}") from None
+        if value in values:
+            raise ConfigError(f"{option}: expected each value once, got {given.strip()!r} twice")
+        values.append(value)
+    return values
+
+
+def _controller(text: str) -> str:
+    if text not in CONTROLLERS:
+        raise ConfigError(f"expected some of {', '.join(CONTROLLERS)}, got {text!r}")
+    return text
+
+
+def _delay(text: str) -> str:
+    return f"{_decimal(parse_duration_ns(text) * 1e-6)}ms"
+
+
+def _force(text: str) -> str:
+    try:
+        push = parse_push(f"{text}@0s:0s:+x")
+    except ConfigError:
+        raise ConfigError(f"expected forces as in 60N, got {text!r}") from None
+    return f"{_decimal(push.force[0])}N"
+
+
+def _seconds(option: str, text: str) -> str:
+    try:
+        return f"{_decimal(parse_duration_ns(text) * 1e-9)}s"
+    except ConfigError as error:
+        raise ConfigError(f"{option}: {error}") from None
+
+
+def _decimal(number: float) -> str:
+    """Without an exponent and without zeros at its end."""
+    return f"{number:.6f}".rstrip("0").rstrip(".")
