@@ -36,7 +36,7 @@ class Gains:
 
     com: float = 10.0
     base_orientation: float = 20.0
-    posture: float = 10.0
+    posture: float = 30.0
     contact_damping: float = 20.0
     swing_foot: float = 300.0
 

@@ -55,7 +55,6 @@ _PRESETS: dict[str, dict[str, Any]] = {
             "gains": {
                 "com": 20.0,
                 "base_orientation": 60.0,
-                "posture": 30.0,
                 "contact_damping": 30.0,
             },
             "weights": {"base_orientation": 1.0},

@@ -137,10 +137,10 @@ def test_a_push_after_the_link_is_cut_is_withstood(bench):
     played.run(1).run(1500, deliver=nothing)
     assert not played.robot.fallen
     assert set(sources(played)[1:]) == {Source.CORRECTED}
-    # A joint has moved by 0.64 rad from where its only factorisation was computed, the CoM by 8 cm;
+    # A joint has moved by 0.38 rad from where its only factorisation was computed, the CoM by 6 cm;
     # a second later it is on its way back.
     com_error = played.column("com_error_m")
-    assert np.nanmax(played.column("staleness_rad")) > 0.4
+    assert np.nanmax(played.column("staleness_rad")) > 0.3
     assert 0.02 < com_error.max() < 0.1
     assert com_error[-1] < 0.5 * com_error.max()
 
