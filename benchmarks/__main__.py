@@ -10,7 +10,7 @@ import argparse
 import signal
 import sys
 
-from benchmarks import capacity, core, netem
+from benchmarks import capacity, core, lockstep, netem
 from shared.cli import EXIT_STANDING, Command, run, run_command
 from shared.errors import ConfigError
 
@@ -51,9 +51,24 @@ def _run_capacity(arguments: argparse.Namespace) -> int:
     return EXIT_STANDING
 
 
+def _add_lockstep_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--repetitions", type=int, default=3, help="of each trial; 3")
+    parser.add_argument("--seconds", type=float, help="of each trial; default: all of it")
+
+
+def _run_lockstep(arguments: argparse.Namespace) -> int:
+    if arguments.repetitions < 1:
+        raise ConfigError(f"--repetitions: expected at least 1, got {arguments.repetitions}")
+    if arguments.seconds is not None and not 0.1 <= arguments.seconds <= 3600.0:
+        raise ConfigError(f"--seconds: expected 0.1 to 3600, got {arguments.seconds:g}")
+    print(lockstep.run(repetitions=arguments.repetitions, seconds=arguments.seconds))
+    return EXIT_STANDING
+
+
 _COMMANDS = (
     Command("capacity", "recorded delays given back", _add_capacity_arguments, _run_capacity),
     Command("core", "where the time goes", _add_core_arguments, _run_core),
+    Command("lockstep", "speed of a trial", _add_lockstep_arguments, _run_lockstep),
     Command("netem", "how exactly the link is emulated", _add_netem_arguments, _run_netem),
 )
 

@@ -148,7 +148,16 @@ def _draw_map(axis: Any, lines: dict[str, dict[str, list[Row]]], column: str) ->
         for x, rows in groups.items():
             if value := _value(rows, column):
                 colours[i, xs.index(x)] = value[0]
-                axis.text(xs.index(x), i, value[2], ha="center", va="center", fontsize=8)
+                dark = column in _PARTS and abs(value[0] - 0.5) > 0.35
+                axis.text(
+                    xs.index(x),
+                    i,
+                    value[2],
+                    color="white" if dark else "black",
+                    ha="center",
+                    va="center",
+                    fontsize=8,
+                )
     limits = {"vmin": 0.0, "vmax": 1.0} if column in _PARTS else {}
     axis.imshow(colours, cmap=_PARTS.get(column, "viridis"), aspect="auto", **limits)
     long = any(len(x) > 8 for x in xs)

@@ -38,11 +38,12 @@ class TimedWalk:
 
     def __init__(self, config: RunConfig) -> None:
         lockstep = Lockstep(config, all_active_sets=False)
-        observed, observe_ns = _timed(lockstep.robot.controller, "observe")
-        _, command_ns = _timed(lockstep.robot.controller, "command")
+        observed: list[State] = []
+        observe_ns = timed(lockstep.robot.controller, "observe", given=observed)
+        command_ns = timed(lockstep.robot.controller, "command")
         self.result: TrialResult = lockstep.run()
         schema, rows, solves = self.result.schema, self.result.rows, self.result.solve_rows
-        self.states: list[State] = observed[WARM_UP_TICKS:]
+        self.states = observed[WARM_UP_TICKS:]
         both = np.add(observe_ns[: len(command_ns)], command_ns)
         self.local_ns = both[WARM_UP_TICKS:]
         self.tick_ns = schema.column(rows, "tick_ns")[WARM_UP_TICKS:]
@@ -64,21 +65,21 @@ class TimedWalk:
         return LINK_SCHEMA.column(rows[sent], "bytes")
 
 
-def _timed(owner: object, name: str) -> tuple[list[Any], list[int]]:
-    """Positional arguments and durations [ns] of the calls of a method from now on."""
+def timed(owner: object, name: str, *, given: list[Any] | None = None) -> list[int]:
+    """Durations [ns] of the calls of a method from now on; its positional arguments in `given`."""
     method = getattr(owner, name)
-    given: list[Any] = []
     durations: list[int] = []
 
-    def timed(*args: Any, **kwargs: Any) -> Any:
-        given.append(args)
+    def timed_method(*args: Any, **kwargs: Any) -> Any:
+        if given is not None:
+            given.append(args)
         started = time.perf_counter_ns()
         result = method(*args, **kwargs)
         durations.append(time.perf_counter_ns() - started)
         return result
 
-    setattr(owner, name, timed)
-    return given, durations
+    setattr(owner, name, timed_method)
+    return durations
 
 
 def full_controller(

@@ -1,0 +1,127 @@
+"""How fast a sweep's trials are played on one core, and where the time of a trial goes.
+
+Whole trials as a sweep plays them, from building robot and plan to the summary, one after another
+in one process; the median of the repetitions of each. What is timed in a tick is timed in place:
+
+    controller   the local controller: b and A†b, or the correction, and the torque
+    robot        what else the robot does: sensing, the reference, codec, cache, guards
+    edge         the state decoded; terms, QP, projector, torque; the answer encoded
+    plant        a step of MuJoCo
+    telemetry    the row of the tick, with the metrics in it
+    link         all the rest: events, delay lines, bus, rows of messages and solves
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.timing import header
+from experiments.lockstep import Lockstep
+from experiments.reproduction.timed_walk import timed
+from shared.config import TASKS
+from shared.config_file import load_config
+
+_NETWORK = "constant:25ms"
+_CONTROLLERS = ("pr", "la", "lc")
+_TICK = ("controller", "robot", "edge", "plant", "telemetry", "link")
+
+
+@dataclass(frozen=True)
+class TrialTime:
+    """A trial of `simulated` s: building it, playing it, its summary [s]; and of a tick, by part,
+    as in `_TICK` [s].
+    """
+
+    simulated: float
+    built: float
+    played: float
+    summed_up: float
+    of_tick: tuple[float, ...]
+
+    @property
+    def per_minute(self) -> float:
+        """Such trials that one core plays in a minute."""
+        return 60.0 / (self.built + self.played + self.summed_up)
+
+
+def run(*, repetitions: int, seconds: float | None) -> str:
+    """Play balance and walk with each controller; the table as text."""
+    top = header()
+    lines = [
+        ["", "simulated", "trials/min", "× real time", *_TICK, "tick", "start-up", "summary"],
+        ["", "[s]", "per core", "", *["[ms]"] * (len(_TICK) + 3)],
+    ]
+    for task in TASKS:
+        for controller in _CONTROLLERS:
+            timed_trial(task, controller, seconds=0.2)  # warms caches and imports
+            each = [timed_trial(task, controller, seconds=seconds) for _ in range(repetitions)]
+            lines.append(_line(f"{task}, {controller.upper()}", each))
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    table = ["  ".join(c.rjust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
+    length = "whole trials" if seconds is None else f"trials of {seconds:g} s"
+    told = f"{length} over {_NETWORK}, medians of {repetitions}; by part the mean of all ticks"
+    return "\n".join([f"{top}; {told}", "", *table])
+
+
+def timed_trial(task: str, controller: str, *, seconds: float | None) -> TrialTime:
+    """Play one trial with a stopwatch in it."""
+    given: dict[str, Any] = {"task": task, "controller": controller, "link.network": _NETWORK}
+    if seconds is not None:
+        given["duration"] = seconds
+    config = load_config(None, given)
+    gc.collect()
+    started = time.perf_counter()
+    lockstep = Lockstep(config, all_active_sets=False)
+    built = time.perf_counter()
+    robot, edge = lockstep.robot, lockstep.edge
+    local = [timed(robot.controller, name) for name in ("observe", "command")]
+    on_robot = [timed(robot, name) for name in ("measure", "receive", "command")]
+    on_edge = [timed(edge, name) for name in ("receive", "step")]
+    plant, telemetry = timed(robot, "advance"), timed(robot, "record")
+    begun = time.perf_counter()
+    result = lockstep.run()
+    ended = time.perf_counter()
+    ticks = len(result.rows)
+    # The summary has the time from the first event to the last.
+    simulated = result.summary["task_seconds"]
+    played = simulated / result.summary["realtime_factor"]
+
+    def of_tick(*durations: list[int]) -> float:
+        return 1e-9 * sum(map(sum, durations)) / ticks
+
+    parts = [
+        of_tick(*local),
+        of_tick(*on_robot) - of_tick(*local),
+        of_tick(*on_edge),
+        of_tick(plant),
+        of_tick(telemetry),
+    ]
+    return TrialTime(
+        simulated=simulated,
+        built=built - started,
+        played=played,
+        summed_up=ended - begun - played,
+        of_tick=(*parts, played / ticks - sum(parts)),
+    )
+
+
+def _line(name: str, trials: list[TrialTime]) -> list[str]:
+    def median(values: list[float]) -> float:
+        return float(np.median(values))
+
+    by_part = np.median([trial.of_tick for trial in trials], axis=0)
+    return [
+        name,
+        f"{median([trial.simulated for trial in trials]):.1f}",
+        f"{median([trial.per_minute for trial in trials]):.1f}",
+        f"{median([trial.simulated / trial.played for trial in trials]):.2f}",
+        *(f"{1e3 * part:.3f}" for part in by_part),
+        f"{1e3 * by_part.sum():.3f}",
+        f"{1e3 * median([trial.built for trial in trials]):.0f}",
+        f"{1e3 * median([trial.summed_up for trial in trials]):.0f}",
+    ]
