@@ -19,7 +19,7 @@ class Progress:
         self._started = self._printed = time.perf_counter()
         self._terminal = sys.stderr.isatty()
         self._open = False
-        if self._terminal:
+        if self._terminal and left > 0:
             self._print()
 
     def finished(self, *, fell: bool, left: int) -> None:

@@ -125,18 +125,18 @@ def sweep(
                 for course in courses
                 if course.next is not None and (not only or course.cell in chosen)
             ]
-            about = _about(study)
+            kept = [records[trial.identity] for course in courses for trial in course.played]
+            falls = sum(record["summary"]["fell"] for record in kept)
+            progress = Progress(done=len(kept), falls=falls, left=study.most_left(missing))
             if missing:
-                kept = [records[trial.identity] for course in courses for trial in course.played]
-                falls = sum(record["summary"]["fell"] for record in kept)
-                progress = Progress(done=len(kept), falls=falls, left=study.most_left(missing))
                 with contextlib.closing(progress), players(workers, scheduler) as team:
+                    workers = team.number
                     for trial, record in _playing(missing, records, team):
                         journal.add(trial, record)
                         row_of(trial, record, study.columns)  # an unknown column ends it here
                         fell = record["error"] is None and record["summary"]["fell"]
                         progress.finished(fell=fell, left=study.most_left(missing))
-                about |= progress.about() | {"workers": team.number, "scheduler": scheduler}
+            about = _about(study) | progress.about() | {"workers": workers, "scheduler": scheduler}
         played = [
             (trial, records[trial.identity])
             for course in sorted(courses, key=lambda course: course.cell)
@@ -144,8 +144,9 @@ def sweep(
         ]
         rows = [row_of(trial, record, study.columns) for trial, record in played]
         write_trials(rows, out)
-        if missing:
-            about["trial_seconds"] = sum(record["wall_seconds"] for _, record in played)
+        about["trial_seconds"] = sum(record["wall_seconds"] for _, record in played)
+        # An earlier sweep may have been killed between its last trial and this file.
+        if missing or not (out / "about.json").is_file():
             (out / "about.json").write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         where = error.filename or out

@@ -16,6 +16,7 @@ import pytest
 from experiments.study import read_study
 from experiments.sweep import sweep
 from experiments.trial_table import read_trials, table_in_words
+from experiments.workers import play
 from shared.errors import ConfigError
 
 BASE = """
@@ -71,6 +72,17 @@ def test_a_finished_sweep_plays_nothing_and_can_be_read(finished, study_of):
     about, study = json.loads(before), read_study(finished)
     assert (about["played"], about["seeds"], study.name) == (4, 2, "short")
     assert study.trials == study_of(BASE).trials
+
+
+def test_a_sweep_killed_after_its_last_trial_is_finished_by_the_next(again, study_of):
+    table = read_trials(again)
+    (again / "trials.parquet").unlink()
+    (again / "about.json").unlink()
+    sweep(study_of(BASE), out=again)
+    assert read_trials(again) == table
+    about = json.loads((again / "about.json").read_text())
+    assert about["played"] == 0
+    assert about["trial_seconds"] > 0
 
 
 def test_a_sweep_cut_in_the_middle_of_a_line_goes_on_to_the_same_table(again, study_of):
@@ -140,6 +152,18 @@ def test_a_column_that_no_summary_has_is_an_error_that_lists_them(again, study_o
         *("controller", "seed", "fell", "edge_solves.infeasible", "on_board_qps", "error")
     ]
     assert row["edge_solves.infeasible"] == 0
+
+
+def test_all_active_sets_are_solved_where_the_study_asks_for_it(study_of):
+    slow = "seeds = 1\n[base]\nduration = 0.05\nloop.edge_compute_ns = 5_000_000\n"
+    known = []
+    for text in (slow, "all_active_sets = true\n" + slow):
+        (trial,) = study_of(text).trials
+        summary = play(trial.config, trial.all_active_sets)["summary"]
+        known.append(sum(summary["active_set_discrepancy"]["ticks"]))
+    # The edge solves a state in 5 ms, of fifty that are sent.
+    assert 0 < known[0] < 20
+    assert known[1] == 50
 
 
 def test_two_sweeps_do_not_write_to_one_folder(again, study_of):
