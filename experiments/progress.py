@@ -8,6 +8,8 @@ import time
 
 _EVERY_SECONDS = 10.0
 _BAR = (10, 40)
+# Of a terminal that does not say.
+_COLUMNS = 80
 
 
 class Progress:
@@ -58,7 +60,8 @@ class Progress:
             print(f"trials {text}", file=sys.stderr, flush=True)
             return
         least, most = _BAR
-        width = min(os.get_terminal_size(sys.stderr.fileno()).columns - len(text) - 4, most)
+        columns = os.get_terminal_size(sys.stderr.fileno()).columns or _COLUMNS
+        width = min(columns - len(text) - 4, most)
         bar = ""
         if width >= least:
             full = width * self._done // total

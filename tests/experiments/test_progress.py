@@ -62,7 +62,7 @@ def test_a_line_never_wraps_for_the_bar(terminal, columns):
     progress.finished(fell=False, left=899)
     text = "101/1000, 3 falls, 60.0/min, 14:59 left"
     assert shown(stream).endswith(text)
-    assert len(shown(stream)) < max(columns, len(text) + 1)
+    assert len(shown(stream)) < max(columns or 80, len(text) + 1)
 
 
 def test_without_a_terminal_there_is_a_line_every_ten_seconds(monkeypatch, capsys):
