@@ -25,6 +25,7 @@ _MAIN_COLUMNS = (
     ("violation [m/s²]", "contact_violation_m_s2", 1.0),
     ("slip [mm]", "foot_slip_mm.max", 1.0),
     ("held ticks", "commands.held", 1.0),
+    ("age p99 [ms]", "projector_age_ms.p99", 1.0),
     ("downlink [kB/s]", "link.downlink.bytes_per_second", 1e-3),
 )
 
