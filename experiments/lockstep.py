@@ -23,13 +23,14 @@ from netem.networks import load_network
 from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
 from netem.shim import record_message
-from robot_node.node import Command, RobotNode
+from robot_node.controllers import MakeController
+from robot_node.node import Command, RobotNode, make_controller
 from shared.bus.base import Delivery, Inbox
 from shared.bus.memory import MemoryBus
 from shared.clock import SimClock
 from shared.config import RunConfig
 from shared.errors import LinkError
-from shared.motion.plan import make_motion
+from shared.motion.plan import MakeMotion, make_motion
 from shared.report import discrepancy_report, edge_report, link_report, robot_report, summary
 from shared.robots import load_robot
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, RowLog, Schema
@@ -54,15 +55,23 @@ class Lockstep:
     """One trial. `run` plays it to the end of its duration or the robot's fall.
 
     With `all_active_sets`, states that the edge did not solve are solved after the trial, for the
-    discrepancy of the active set; of interest to the metrics only.
+    discrepancy of the active set; of interest to the metrics only. `make_motion` and
+    `make_controller` replace the task and the robot's controller that the configuration names.
     """
 
-    def __init__(self, config: RunConfig, *, all_active_sets: bool = True) -> None:
+    def __init__(
+        self,
+        config: RunConfig,
+        *,
+        all_active_sets: bool = True,
+        make_motion: MakeMotion = make_motion,
+        make_controller: MakeController = make_controller,
+    ) -> None:
         self.config = config
         self.clock = SimClock()
         robot = load_robot(config.robot.name)
         motion = make_motion(robot, config)
-        self.robot = RobotNode(robot, config, motion, session=1)
+        self.robot = RobotNode(robot, config, motion, session=1, make_controller=make_controller)
         self.edge = EdgeNode(robot, config, motion)
         self._codec = Codec(robot, config, motion)
         self._all_active_sets = all_active_sets

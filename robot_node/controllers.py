@@ -9,17 +9,20 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from robot_node.cache import AnswerCache, CacheEntry, ProjectorCache
+from shared.config import RunConfig
 from shared.motion.reference import Reference
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.stack import Stack
 from shared.wbc.torque import recover_torque
+from shared.wire.codec import Codec
 
 
 class Source(enum.IntEnum):
@@ -82,6 +85,24 @@ class Controller(Protocol):
     def command(self, *, time_ns: int) -> Decision | None:
         """Second phase, at a task time; None if no answer may be used."""
         ...
+
+
+@dataclass(frozen=True)
+class ControllerParts:
+    """What a robot has to make its controller from.
+
+    `codec` and `session` are for its cache; `model` and `stacks` are the robot's own, with `model`
+    a workspace that every call overwrites.
+    """
+
+    config: RunConfig
+    codec: Codec
+    session: int
+    model: WholeBodyModel
+    stacks: dict[ContactMode, Stack]
+
+
+MakeController = Callable[[ControllerParts], Controller]
 
 
 class PurelyRemote:

@@ -16,7 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_node.cache import AnswerCache, FactorisationCache, ProjectorCache
-from robot_node.controllers import Controller, Decision, LocallyAssisted, PurelyRemote, Source
+from robot_node.controllers import (
+    Controller,
+    ControllerParts,
+    Decision,
+    LocallyAssisted,
+    MakeController,
+    PurelyRemote,
+    Source,
+)
 from robot_node.corrected import LocallyCorrected
 from robot_node.onboard import (
     ModelledComputer,
@@ -65,6 +73,21 @@ def needs_on_board_computer(config: RunConfig, motion: Motion) -> bool:
     return config.controller == "la" and wanted and motion.next_switch(0) is not None
 
 
+def make_controller(parts: ControllerParts) -> Controller:
+    """The controller that `parts.config.controller` names."""
+    codec, session = parts.codec, parts.session
+    if parts.config.controller == "pr":
+        return PurelyRemote(ProjectorCache(codec, session=session))
+    if parts.config.controller == "la":
+        cache = ProjectorCache(codec, session=session)
+        return LocallyAssisted(cache, parts.model, parts.stacks)
+    correction = parts.config.correction
+    factorisations = FactorisationCache(
+        codec, parts.stacks, session=session, level=correction.level
+    )
+    return LocallyCorrected(factorisations, parts.model, parts.stacks, correction)
+
+
 class RobotNode:
     """Simulated robot and local controller. `session` names this start of the robot; `computer`
     is the on-board one, by default one whose compute time is modelled.
@@ -78,6 +101,7 @@ class RobotNode:
         *,
         session: int | None = None,
         computer: OnBoardComputer | None = None,
+        make_controller: MakeController = make_controller,
     ) -> None:
         self.schema: Schema = tick_schema(nq=robot.model.nq, nv=robot.model.nv)
         self.running = False
@@ -93,7 +117,9 @@ class RobotNode:
         self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
         self._session = new_session() if session is None else session
         self._codec = Codec(robot, config, motion)
-        self.controller = self._make_controller()
+        self.controller = make_controller(
+            ControllerParts(config, self._codec, self._session, self._model, self._stacks)
+        )
         self.cache: AnswerCache = self.controller.cache
         self.on_board: OnBoard | None = None
         if needs_on_board_computer(config, motion):
@@ -292,16 +318,3 @@ class RobotNode:
             )
         assert isinstance(self.cache, ProjectorCache)
         return OnBoardWindow(self._config.switch, self._motion, computer, self.cache)
-
-    def _make_controller(self) -> Controller:
-        name, codec, session = self._config.controller, self._codec, self._session
-        if name == "pr":
-            return PurelyRemote(ProjectorCache(codec, session=session))
-        if name == "la":
-            cache = ProjectorCache(codec, session=session)
-            return LocallyAssisted(cache, self._model, self._stacks)
-        correction = self._config.correction
-        factorisations = FactorisationCache(
-            codec, self._stacks, session=session, level=correction.level
-        )
-        return LocallyCorrected(factorisations, self._model, self._stacks, correction)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from shared.config import RunConfig
 from shared.motion.reference import Motion, Standing
 from shared.motion.walking import Walking
 from shared.robots import Robot
+
+MakeMotion = Callable[[Robot, RunConfig], Motion]
 
 
 def make_motion(robot: Robot, config: RunConfig) -> Motion:
