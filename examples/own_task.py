@@ -1,0 +1,60 @@
+"""Your own task: Romeo bends its knees, on answers that are 60 ms old.
+
+    python -m examples.own_task
+
+A task is a motion: the reference of CoM, trunk, posture and feet at every time, which both ends of
+the link derive for themselves; see `shared.motion.reference.Motion`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from experiments.lockstep import Lockstep, TrialResult
+from shared.config import RunConfig
+from shared.config_file import load_config
+from shared.motion.reference import Reference, Standing, motion_digest
+from shared.robots import Robot
+
+DEPTH, PERIOD = 0.06, 2.0  # m, s
+
+
+class KneeBends(Standing):
+    """The CoM goes DEPTH down and comes up again every PERIOD; all else as when standing."""
+
+    def __init__(self, robot: Robot, config: RunConfig) -> None:
+        super().__init__(robot)
+        # In every message, so that ends of a link that differ refuse each other.
+        self.digest = motion_digest(np.array([DEPTH, PERIOD]), np.frombuffer(self.digest, np.uint8))
+
+    def reference(self, time_ns: int) -> Reference:
+        """−DEPTH (1 − cos ωt) / 2 and its derivatives, added to the CoM of standing."""
+        standing, rate = super().reference(time_ns), 2.0 * math.pi / PERIOD
+        angle = rate * time_ns * 1e-9
+        up = np.array([0.0, 0.0, 1.0])
+        return dataclasses.replace(
+            standing,
+            com=standing.com - 0.5 * DEPTH * (1.0 - math.cos(angle)) * up,
+            com_velocity=-0.5 * DEPTH * rate * math.sin(angle) * up,
+            com_acceleration=-0.5 * DEPTH * rate**2 * math.cos(angle) * up,
+        )
+
+
+def main(duration: float = 4.0) -> TrialResult:
+    """Two knee bends; where the CoM should have been, and where it was."""
+    settings = {"duration": duration, "push": [], "link.network": "constant:60ms"}
+    settings["wbc.weights.posture"] = 1e-4  # that of standing gives way; by default it would not
+    result = Lockstep(load_config(None, settings), make_motion=KneeBends).run()
+    asked, was = (result.schema.column(result.rows, key) for key in ("com_reference", "com"))
+    print("  time   CoM height asked for, and reached [m]")
+    for tick in range(0, len(result.rows), 500):
+        print(f"{tick / 1000:5.2f} s {asked[tick, 2]:9.3f} {was[tick, 2]:9.3f}")
+    print("falls" if result.summary["fell"] else "stands")
+    return result
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,47 @@
+"""A sweep: how long may answers take until a push fells the robot? 12 trials on all cores.
+
+    python -m examples.sweep
+
+A study is a table of settings, here a dict, in `experiments/configs/` a TOML file; every cell of
+its grid is played with the same seeds. `experiments/study.py` describes all keys. What has been
+played is kept: interrupt it, and the same command goes on. From the command line the same is
+`python -m experiments sweep FILE.toml`.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from experiments.study import make_study
+from experiments.sweep import sweep
+from experiments.trial_table import table_in_words
+
+STUDY: dict[str, Any] = {
+    "name": "delays",
+    "description": "who stands a push of 100 N on late answers",
+    "seeds": 2,
+    "base": {"duration": 3.0, "push": ["100N@0.5s:0.2s:+y"]},
+    "grid": {
+        "controller": ["pr", "la", "lc"],
+        "link.network": ["constant:20ms", "constant:120ms"],
+    },
+    "columns": ["com_error_m", "projector_age_ms.p99", "link.downlink.bytes_per_second"],
+}
+
+
+def main(
+    duration: float = 3.0, folder: Path = Path("runs"), workers: int | None = None
+) -> list[dict[str, Any]]:
+    """Play the study, or what is left of it; its rows, one per trial, are in trials.parquet too."""
+    study = make_study(STUDY | {"base": STUDY["base"] | {"duration": duration}})
+    out = folder / "sweep-delays"
+    rows = sweep(study, out=out, workers=workers or os.cpu_count() or 1)
+    print(table_in_words(rows, list(study.cells[0].shown)))
+    print(f"every trial is a row of {out / 'trials.parquet'}")
+    return rows
+
+
+if __name__ == "__main__":  # the processes that play the trials import this file
+    main()
