@@ -1,0 +1,77 @@
+"""Commands and settings that the pages show are those that there are."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+import benchmarks.__main__
+import experiments.__main__
+import netem.__main__
+from shared.cli import Parser
+from shared.config import RunConfig
+from shared.config_file import load_config, tomllib
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]
+PROGRAMS = {
+    "experiments": experiments.__main__._COMMANDS,
+    "netem": netem.__main__._COMMANDS,
+    "benchmarks": benchmarks.__main__._COMMANDS,
+}
+SHOWN = r"python -m (experiments|netem|benchmarks) ([a-z-]+)"
+
+
+def shown_in_full():
+    """Command lines of `sh` blocks: the page, the program, the command and its arguments."""
+    for page in PAGES:
+        for block in re.findall(r"^ *```sh\n(.*?)^ *```", page.read_text(), re.DOTALL | re.M):
+            for line in block.replace("\\\n", " ").splitlines():
+                if found := re.search(SHOWN, line):
+                    rest = shlex.split(line[found.end() :], comments=True)
+                    yield pytest.param(found[1], found[2], rest, id=f"{page.stem}: {found[2]}")
+
+
+@pytest.mark.parametrize(("program", "name", "arguments"), shown_in_full())
+def test_a_command_line_is_understood(program, name, arguments):
+    (command,) = [each for each in PROGRAMS[program] if each.name == name]
+    parser = Parser()
+    command.add_arguments(parser)
+    assert isinstance(parser.parse_args(arguments), argparse.Namespace)
+
+
+def test_a_command_that_is_mentioned_exists():
+    unknown = [
+        f"{page.name}: {found[0]}"
+        for page in PAGES
+        for found in re.finditer(SHOWN, page.read_text())
+        if found[2] not in [command.name for command in PROGRAMS[found[1]]]
+    ]
+    assert unknown == []
+
+
+def flat(table, above=""):
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
+
+
+def test_the_page_of_settings_shows_every_default(tmp_path):
+    block = re.search(
+        r"^```toml\n(.*?)^```", (ROOT / "docs/configuration.md").read_text(), re.DOTALL | re.M
+    )
+    assert block is not None
+    shown = tmp_path / "shown.toml"
+    shown.write_text(block[1])
+    assert load_config(shown) == RunConfig()
+    shown_settings = dict(flat(tomllib.loads(block[1])))
+    defaults = dict(flat(dataclasses.asdict(RunConfig())))
+    # The tick of 1 ms is not for choosing.
+    assert defaults.keys() - shown_settings.keys() == {"loop.period_ns"}
