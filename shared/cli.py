@@ -13,6 +13,7 @@ from shared.config import COM_PLANS, CONTROLLERS, TASKS, VIEWS, RunConfig
 from shared.config_file import load_config
 from shared.errors import ConfigError, UserError
 from shared.quantities import parse_angle, parse_duration_ns
+from shared.robots import CATALOGUE
 
 EXIT_STANDING = 0
 EXIT_ERROR = 2
@@ -55,6 +56,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the run (flags override --config)")
     group.add_argument("--config", metavar="FILE.toml", help="settings; see docs/configuration.md")
     group.add_argument("--task", help=f"one of {', '.join(TASKS)}")
+    group.add_argument("--robot", help=f"one of {', '.join(CATALOGUE)}")
     group.add_argument("--controller", help=f"one of {', '.join(CONTROLLERS)}")
     group.add_argument(
         "--network",
@@ -102,6 +104,7 @@ def add_view_argument(parser: argparse.ArgumentParser) -> None:
 
 _KEYS = {
     "task": "task",
+    "robot": "robot.name",
     "controller": "controller",
     "duration": "duration",
     "seed": "seed",

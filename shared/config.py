@@ -1,5 +1,6 @@
 """Every setting of the project as frozen dataclasses; `shared/config_file.py` reads them from TOML.
 
+What depends on the robot has Romeo's value here; another robot's is in its catalogue entry.
 A value out of range is a `ConfigError` that says what was expected. Both ends of a link must agree
 on `task`, `robot`, `wbc` and `walk`; their digest travels in every message.
 """

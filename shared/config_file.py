@@ -9,13 +9,15 @@ import dataclasses
 import sys
 import types
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import tomli_w
 
-from shared.config import RunConfig
+from shared.config import RobotConfig, RunConfig
 from shared.errors import ConfigError
+from shared.robots import description_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -39,14 +41,22 @@ def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None
         table.pop("versions", None)
     for key, value in (overrides or {}).items():
         _set_dotted(table, key, value)
-    preset = _PRESETS.get(table.get("task", RunConfig.task), {})
-    config = _build(RunConfig, _merged(preset, table), where="")
+    config = _build(RunConfig, _merged(_defaults(table), table), where="")
     if config.task == "walk" and "duration" not in table:
         config = dataclasses.replace(config, duration=config.walk.duration)
     return config
 
 
-# What a task changes of the defaults; a file and flags come on top.
+def _defaults(table: dict[str, Any]) -> dict[str, Any]:
+    """What the task and then the robot that `table` names change of the defaults."""
+    task, robot = table.get("task", RunConfig.task), table.get("robot", {})
+    name = robot.get("name", RobotConfig.name) if isinstance(robot, dict) else None
+    if not (isinstance(task, str) and isinstance(name, str)):
+        return {}  # `_build` says what is wrong with it
+    return _merged(_PRESETS.get(task, {}), description_of(name).settings.get(task, {}))
+
+
+# What a task changes of the defaults; its robot, a file and flags come on top.
 _PRESETS: dict[str, dict[str, Any]] = {
     "walk": {
         "push": [],
@@ -64,7 +74,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
 }
 
 
-def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(below)
     for key, value in above.items():
         under = merged.get(key)

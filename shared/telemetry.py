@@ -49,7 +49,8 @@ class Schema:
 
 # One row per tick of the robot. Times in ns: `time_ns` of the task (negative while waiting for the
 # edge), `wall_ns` of the robot's clock. `source` is the index in `robot_node.controllers.Source`.
-# `q`, `v` true state, Pinocchio order; `f` commanded point forces, zero where unloaded [N].
+# `q`, `v` true state, Pinocchio order; `f` commanded forces at the four points of both soles, zero
+# where unloaded [N].
 # `foot_slip_m` of the left and right foot since it was loaded, NaN in the air. `active_set` and
 # `projector_sequence` are those of the command's projector: its bit mask (`Projector.active_set`)
 # and the tick whose state it came from; −1 if none. `on_board_qps`: QPs begun on board so far.

@@ -1,14 +1,39 @@
-"""The robots that are known by name. To add one, add an entry; nothing else names a robot."""
+"""The robots that are known by name. To add one, add an entry; nothing else names a robot.
+
+`docs/another-robot.md` says where each number of an entry is read off.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
 from shared.errors import ConfigError
-from shared.robots.description import Foot, FootDescription, Robot, RobotDescription, load
+from shared.robots.description import Foot, FootDescription, Robot, RobotDescription
 
 # Sole of Romeo without the toe, which this URDF welds to the foot and which no contact uses.
 # The rectangle was read off the collision mesh of the ankle-roll body, mirrored for the right foot.
 _ROMEO_SOLE_X = (-0.0735, 0.120)
 _ROMEO_SOLE_INNER, _ROMEO_SOLE_OUTER = 0.0526, 0.0674
+
+# Sole of Talos: section of the collision mesh ankle_X_collision.stl 1 mm above its lowest point,
+# whose edges are rounded; its two sides differ by 4 mm and the smaller one is taken for both. The
+# height is that of the URDF's left_sole_link.
+_TALOS_SOLE_X = (-0.105, 0.094)
+_TALOS_SOLE_Y = (-0.058, 0.058)
+_TALOS_SOLE_HEIGHT = 0.107
+
+_TALOS_SETTINGS: dict[str, Any] = {
+    # Three quarters of what its URDF allows are enough for the push.
+    "robot": {"torque_clamp": 1.0},
+    "wbc": {
+        # Romeo's 1e-5 over the square of the ratio of their masses, as N² are weighed against
+        # (m/s²)². With 1e-5 even forces count for more than the CoM, and Talos leans over.
+        "weights": {"force": 2e-6},
+        # Half of what fells it: with 30 and LA at 25 ms a foot that lands, or is unloaded by the
+        # push, rolls from edge to edge.
+        "gains": {"contact_damping": 15.0},
+    },
+}
 
 CATALOGUE: dict[str, RobotDescription] = {
     "romeo": RobotDescription(
@@ -33,11 +58,46 @@ CATALOGUE: dict[str, RobotDescription] = {
             ),
         ),
     ),
+    "talos": RobotDescription(
+        name="talos",
+        urdf="talos_data/robots/talos_reduced.urdf",
+        srdf="talos_data/srdf/talos.srdf",
+        posture="half_sitting",
+        feet=(
+            FootDescription(
+                side=Foot.LEFT,
+                joint="leg_left_6_joint",
+                sole_height=_TALOS_SOLE_HEIGHT,
+                sole_x=_TALOS_SOLE_X,
+                sole_y=_TALOS_SOLE_Y,
+            ),
+            FootDescription(
+                side=Foot.RIGHT,
+                joint="leg_right_6_joint",
+                sole_height=_TALOS_SOLE_HEIGHT,
+                sole_x=_TALOS_SOLE_X,
+                sole_y=_TALOS_SOLE_Y,
+            ),
+        ),
+        settings={
+            # 100 N on Romeo, by the ratio of their masses.
+            "balance": {**_TALOS_SETTINGS, "push": ["223N@1.0s:0.2s:+y"]},
+            "walk": {**_TALOS_SETTINGS, "walk": {"step_length": 0.15}},
+        },
+    ),
 }
+
+
+def description_of(name: str) -> RobotDescription:
+    """The entry of a robot; `ConfigError` names the known ones."""
+    if name not in CATALOGUE:
+        raise ConfigError(f"robot: expected one of {', '.join(CATALOGUE)}, got {name!r}")
+    return CATALOGUE[name]
 
 
 def load_robot(name: str) -> Robot:
     """Load a robot by its catalogue name; `ConfigError` names the known ones."""
-    if name not in CATALOGUE:
-        raise ConfigError(f"robot: expected one of {', '.join(CATALOGUE)}, got {name!r}")
-    return load(CATALOGUE[name])
+    # Imported here: who only wants a robot's settings, as the shim does, goes without Pinocchio.
+    from shared.robots.loading import load
+
+    return load(description_of(name))

@@ -106,7 +106,7 @@ def test_the_words_have_a_line_per_push_and_a_column_per_delay():
         (("--push-for", "long"), "--push-for: expected a duration.*got 'long'"),
         (("--seeds", "0"), "seeds: expected how many, at least 1, got 0"),
         (("--task", "run"), "task: expected one of balance, walk, got 'run'"),
-        (("--robot", "talos"), "robot: expected one of romeo, got 'talos'"),
+        (("--robot", "juliet"), "robot: expected one of romeo.*got 'juliet'"),
         (("--workers", "0"), "--workers: expected at least 1, got 0"),
         (("--workers", "1", "--scheduler", "tcp://a:1"), "--workers: the cluster"),
         (("--config", "nowhere.toml"), "config: cannot read nowhere.toml"),

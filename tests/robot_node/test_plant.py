@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 
 from robot_node.plant import MujocoPlant, from_mujoco, to_mujoco, world_from_base
+from shared.robots import CATALOGUE, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import solve
 from shared.wbc.qp import DaqpSolver
@@ -19,6 +20,11 @@ from shared.wbc.torque import recover_torque
 from tests.states import random_state
 
 TOLERANCE = 1e-9
+
+
+@pytest.fixture(scope="session", params=list(CATALOGUE))
+def robot(request):
+    return load_robot(request.param)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +46,7 @@ def close(actual, expected):
 
 def velocity_map(q):
     """T with v_mujoco = T v_pinocchio: only the base's linear velocity is turned."""
-    T = np.eye(37)
+    T = np.eye(len(q) - 1)
     T[:3, :3] = world_from_base(q)
     return T
 
@@ -77,7 +83,7 @@ def test_bias_forces_agree(in_the_air, robot, states):
 def test_accelerations_under_random_torques_agree(in_the_air, robot, states, rng):
     data = robot.model.createData()
     for q, v in states:
-        tau = 20.0 * rng.standard_normal(31)
+        tau = 20.0 * rng.standard_normal(robot.model.nv - 6)
         in_the_air.set_state(q, v)
         in_the_air.data.ctrl[:] = tau
         mujoco.mj_forward(in_the_air.model, in_the_air.data)
@@ -163,9 +169,9 @@ def test_one_step_integrates_the_accelerations(in_the_air, robot, model, states)
     dt = in_the_air.model.opt.timestep
     q, v = states[1]
     in_the_air.set_state(q, v)
-    in_the_air.step(np.zeros(31), push=np.zeros(3))
+    in_the_air.step(np.zeros(robot.model.nv - 6), push=np.zeros(3))
     q_next, v_next = in_the_air.state()
-    a = pin.aba(robot.model, robot.model.createData(), q, v, np.zeros(37))
+    a = pin.aba(robot.model, robot.model.createData(), q, v, np.zeros(robot.model.nv))
     # Semi-implicit Euler against the continuous flow: an error of the order of dt.
     np.testing.assert_allclose(v_next - v, dt * a, atol=0.02 * dt * np.abs(a).max())
     np.testing.assert_allclose(
@@ -174,10 +180,10 @@ def test_one_step_integrates_the_accelerations(in_the_air, robot, model, states)
 
 
 def test_a_push_lasts_for_one_step_only(in_the_air, robot, model):
-    in_the_air.set_state(robot.q_standing, np.zeros(37))
+    in_the_air.set_state(robot.q_standing, np.zeros(robot.model.nv))
     momenta = []
     for push in (50.0, 0.0, 0.0, -20.0):
-        in_the_air.step(np.zeros(31), push=np.array([0.0, push, 0.0]))
+        in_the_air.step(np.zeros(robot.model.nv - 6), push=np.array([0.0, push, 0.0]))
         momenta.append(robot.mass * model.kinematics(*in_the_air.state()).com_velocity[1])
     # Momentum is the force's integral: 50 N for 1 ms, then nothing, then −20 N. Limbs that begin to
     # move make the integrator's error of 1e-3.
@@ -207,10 +213,10 @@ def test_a_robot_at_rest_on_the_floor_carries_its_weight(robot, config, model, r
 
 def test_a_diverged_simulation_is_not_put_back_to_its_start(robot, config):
     plant = MujocoPlant(robot, config.plant)
-    v = np.zeros(37)
+    v = np.zeros(robot.model.nv)
     v[6:] = 1e12
     plant.set_state(robot.q_standing, v)
     for _ in range(5):
-        plant.step(np.zeros(31), push=np.zeros(3))
+        plant.step(np.zeros(robot.model.nv - 6), push=np.zeros(3))
     # Put back, it would be at rest.
     assert not np.abs(plant.state()[1]).max() < 1e3

@@ -19,6 +19,7 @@ from shared.config import (
 from shared.config_file import dump_config, load_config
 from shared.errors import ConfigError
 from shared.quantities import parse_duration_ns, parse_outage, parse_push
+from shared.robots import CATALOGUE
 
 MS = 1_000_000
 
@@ -107,6 +108,33 @@ def test_the_dump_names_every_setting_and_the_versions():
 
     for name in names(RunConfig()):
         assert name in text
+
+
+def test_a_robot_changes_the_defaults_of_a_task_and_a_file_and_flags_those_of_the_robot(file):
+    other = CATALOGUE["talos"]
+    config = load_config(None, {"robot.name": other.name, "task": "walk"})
+    assert config.wbc.gains.contact_damping == 15.0  # not the walk's 30
+    assert config.wbc.gains.com == 20.0  # the walk's, of which the entry does not speak
+    assert config.push == ()
+    assert load_config(None, {"robot.name": other.name}).push == ("223N@1.0s:0.2s:+y",)
+    path = file('[robot]\nname = "talos"\ntorque_clamp = 2.0\n')
+    config = load_config(path, {"wbc.gains.contact_damping": 7.0})
+    assert (config.robot.torque_clamp, config.wbc.gains.contact_damping) == (2.0, 7.0)
+    assert config.wbc.weights.force == 2e-6
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[robot]\nname = "juliet"', "robot: expected one of romeo, talos, got 'juliet'"),
+        ("[robot]\nname = [1]", "robot.name: expected str"),
+        ('robot = "talos"', "robot: expected a table of settings"),
+        ('task = ["walk"]', "task: expected str"),
+    ],
+)
+def test_a_robot_that_cannot_be_is_refused(file, text, said):
+    with pytest.raises(ConfigError, match=said):
+        load_config(file(text))
 
 
 def test_an_infinite_setting_survives_the_dump(file):

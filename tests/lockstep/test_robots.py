@@ -1,0 +1,53 @@
+"""Every robot of the catalogue balances and walks; the default one does in all the other tests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shared.config import RunConfig
+from shared.robots import CATALOGUE
+
+OTHERS = [name for name in CATALOGUE if name != RunConfig().robot.name]
+# Locally assisted and locally corrected, each over a delay that it takes.
+CONTROLLED = [("la", "constant:25ms"), ("lc", "constant:400ms")]
+
+SHORT = {"walk.steps": 2, "walk.begin_duration": 0.6, "walk.end_duration": 0.8}
+
+pytestmark = [
+    pytest.mark.parametrize("name", OTHERS),
+    pytest.mark.parametrize(("controller", "network"), CONTROLLED),
+]
+
+
+def com_error(result):
+    return result.schema.column(result.rows, "com_error_m")
+
+
+def test_it_takes_a_push_and_comes_back(play, name, controller, network):
+    result = play(
+        duration=3.0, controller=controller, **{"robot.name": name, "link.network": network}
+    )
+    assert not result.summary["fell"]
+    assert result.summary["commands"]["held"] == 0
+    error = com_error(result)
+    # Talos: 12 cm, of which 6 are left 1.8 s after the push.
+    assert error.max() > 0.05
+    assert error[-1] < 0.6 * error.max()
+
+
+def test_it_walks_to_where_the_plan_ends(play, name, controller, network):
+    result = play(
+        task="walk",
+        controller=controller,
+        **{"robot.name": name, "link.network": network, **SHORT},
+    )
+    assert not result.summary["fell"]
+    assert result.summary["commands"]["held"] == 0
+    com, reference = (
+        result.schema.column(result.rows, name)[-1] for name in ("com", "com_reference")
+    )
+    # One advancing step, and one that brings the feet together.
+    assert reference[0] > 0.1
+    assert np.linalg.norm(com - reference) < 0.01
+    assert result.summary["com_error_m"] < 0.012
