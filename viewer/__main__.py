@@ -1,4 +1,4 @@
-"""`python -m viewer live` shows a run as it happens; `python -m viewer record` one that is over."""
+"""Watch a run as it happens, look at it again, compare it with others, make pictures of it."""
 
 from __future__ import annotations
 
@@ -12,35 +12,79 @@ import sys
 import time
 from pathlib import Path
 
-from shared.cli import EXIT_STANDING, Parser, run
+from shared.cli import EXIT_STANDING, Command, run, run_command
 from shared.config_file import load_config
+from shared.errors import UserError
 from shared.service import StopSignal
 from viewer.display import VIEWS
 from viewer.live import watch
 from viewer.recording import record
+from viewer.show import show
+from viewer.snapshot import ANIMATIONS, animation, picture
 
 
 def main() -> int:
-    parser = Parser(prog="viewer", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    live = commands.add_parser("live", help="show a run as it happens")
-    live.add_argument("--config", metavar="FILE.toml", required=True, help="settings of the run")
-    live.add_argument(
+    return run_command(
+        "viewer",
+        __doc__,
+        (
+            Command("live", "show a run as it happens", _add_live, _live),
+            Command("open", "show a run that is over", _add_open, _show),
+            Command("compare", "show runs side by side, their lines together", _add_compare, _show),
+            Command("snapshot", "make a picture or an animation", _add_snapshot, _snapshot),
+            Command("record", "build RUN/recording.rrd", _add_run, _record),
+        ),
+    )
+
+
+def _add_live(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--config", metavar="FILE.toml", required=True, help="settings of the run")
+    parser.add_argument(
         "--telemetry", metavar="ENDPOINT", required=True, help="hub, as in tcp/127.0.0.1:7450"
     )
-    live.add_argument("--view", choices=VIEWS, default="native", help="(default %(default)s)")
-    live.add_argument("--out", metavar="DIR", type=Path, help="also write DIR/recording.rrd")
-    over = commands.add_parser("record", help="build RUN_DIR/recording.rrd of a finished run")
-    over.add_argument("run", metavar="RUN_DIR", type=Path)
-    arguments = parser.parse_args()
-    if arguments.command == "live":
-        _live(arguments)
-    else:
-        _record(arguments)
-    return EXIT_STANDING
+    parser.add_argument("--view", choices=VIEWS, default="native", help="(default %(default)s)")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="also write DIR/recording.rrd")
 
 
-def _live(arguments: argparse.Namespace) -> None:
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("run", metavar="RUN", type=Path, help="the run's folder")
+
+
+def _add_open(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("runs", metavar="RUN", type=Path, nargs=1, help="the run's folder")
+    _add_view(parser)
+
+
+def _add_compare(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="the runs' folders")
+    _add_view(parser)
+
+
+def _add_view(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--view",
+        choices=("auto", "native", "web"),
+        default="auto",
+        help="a window or a browser (default: a window if there is a screen)",
+    )
+
+
+def _add_snapshot(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "runs", metavar="RUN", type=Path, nargs="+", help="a run's folder; several are compared"
+    )
+    parser.add_argument("--out", metavar="FILE.png", type=Path, help="a picture")
+    parser.add_argument("--at", metavar="SECONDS", type=float, help="of the picture (default: end)")
+    parser.add_argument(
+        "--animation", metavar="FILE", type=Path, help=f"an animation, {' or '.join(ANIMATIONS)}"
+    )
+    parser.add_argument("--span", metavar="FROM:TO", help="of the animation [s] (default: all)")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, help="of the animation (default %(default)g)"
+    )
+
+
+def _live(arguments: argparse.Namespace) -> int:
     stop = StopSignal()
     watch(
         load_config(arguments.config),
@@ -48,17 +92,52 @@ def _live(arguments: argparse.Namespace) -> None:
         view=arguments.view,
         out=arguments.out,
         stopped=lambda: stop.requested,
-        say=lambda line: print(line, flush=True),
+        say=_say,
     )
+    return EXIT_STANDING
 
 
-def _record(arguments: argparse.Namespace) -> None:
+def _show(arguments: argparse.Namespace) -> int:
+    stop = StopSignal()
+    show(arguments.runs, view=arguments.view, stopped=lambda: stop.requested, say=_say)
+    return EXIT_STANDING
+
+
+def _snapshot(arguments: argparse.Namespace) -> int:
+    if arguments.out is None and arguments.animation is None:
+        raise UserError("snapshot: expected --out FILE.png, --animation FILE.gif, or both")
+    if arguments.out is not None:
+        picture(arguments.runs, arguments.out, at=arguments.at)
+        _say(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB")
+    if arguments.animation is not None:
+        begin, end = _span(arguments.span)
+        animation(arguments.runs, arguments.animation, begin=begin, end=end, speed=arguments.speed)
+        _say(f"{arguments.animation}: {arguments.animation.stat().st_size / 1e6:.2f} MB")
+    return EXIT_STANDING
+
+
+def _span(text: str | None) -> tuple[float, float | None]:
+    if text is None:
+        return 0.0, None
+    begin, _, end = text.partition(":")
+    try:
+        return float(begin), float(end)
+    except ValueError:
+        raise UserError(f"--span: expected FROM:TO in seconds as in 0.5:2, got {text!r}") from None
+
+
+def _record(arguments: argparse.Namespace) -> int:
     began = time.monotonic()
     recorded = record(arguments.run)
-    print(
+    _say(
         f"{recorded.path}: {recorded.rows} rows in {recorded.size_bytes / 1e6:.1f} MB, "
         f"made in {time.monotonic() - began:.1f} s; open it with: rerun {recorded.path}"
     )
+    return EXIT_STANDING
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
 
 
 if __name__ == "__main__":

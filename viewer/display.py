@@ -7,27 +7,18 @@ server for a browser. The child dies with this process, however this process end
 
 from __future__ import annotations
 
-import ctypes
-import importlib.util
-import os
-import re
-import signal
 import socket
-import subprocess
-import sys
-import tempfile
 import time
 import urllib.parse
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
 
 import rerun as rr
 import rerun.blueprint as rrb
 
 from shared.errors import UserError
+from viewer.rerun_process import HOST, RerunProcess, free_port
 
-HOST = "127.0.0.1"
 WEB_PORT = 9090
 # For those who open the view late; the oldest data go first.
 SERVER_MEMORY = "256MiB"
@@ -35,9 +26,6 @@ WINDOW_MEMORY = "1GiB"
 VIEWS = ("native", "web", "record")
 # A window that cannot open gives up well within this time [s].
 SETTLE = 1.0
-START_TIMEOUT = 10.0
-_BINARIES = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
-_PR_SET_PDEATHSIG = 1
 
 
 class Display:
@@ -56,8 +44,7 @@ class Display:
             raise UserError("--view record: expected --out DIR, where the recording goes")
         self.address = f"recording to {file}"
         self._recording = recording
-        self._child: subprocess.Popen[bytes] | None = None
-        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  (until `close`)
+        self._child: RerunProcess | None = None
         sinks: list[rr.FileSink | rr.GrpcServerSink] = []
         if file is not None:
             sinks.append(rr.FileSink(_writable(file)))
@@ -73,86 +60,35 @@ class Display:
     @property
     def shown(self) -> bool:
         """Whether the window or the web server is still there."""
-        return self._child is not None and self._child.poll() is None
+        return self._child is not None and self._child.running
 
     def close(self) -> None:
         """Stop the child, write the recording out and stop serving it."""
-        self._stop_child()
+        if self._child is not None:
+            self._child.stop()
         self._recording.disconnect()
-        self._errors.close()
 
     def _open_window(self, uri: str) -> None:
         port = str(free_port())
-        self._start("--port", port, "--memory-limit", WINDOW_MEMORY, "--hide-welcome-screen", uri)
-        self._wait("the window", lambda started: time.monotonic() - started > SETTLE)
+        arguments = ("--port", port, "--memory-limit", WINDOW_MEMORY, "--hide-welcome-screen", uri)
+        self._open("the window", arguments, lambda started: time.monotonic() - started > SETTLE)
         self.address = "window opened"
 
     def _open_web(self, uri: str) -> None:
         port = free_port(WEB_PORT)
-        self._start("--serve-web", "--web-viewer-port", str(port), uri)
-        self._wait("the web viewer", lambda started: _answers(port))
+        arguments = ("--serve-web", "--web-viewer-port", str(port), uri)
+        self._open("the web viewer", arguments, lambda started: _answers(port))
         self.address = f"open http://{HOST}:{port}/?url={urllib.parse.quote(uri, safe='')}"
 
-    def _start(self, *arguments: str) -> None:
-        self._child = subprocess.Popen(
-            [str(rerun_binary()), "--bind", HOST, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=self._errors,
-            env={**os.environ, "RUST_LOG": "error", "RERUN_APP_ONLY": "true"},
-            preexec_fn=_die_with_parent() if sys.platform == "linux" else None,
-        )
-
-    def _wait(self, what: str, ready: Callable[[float], bool]) -> None:
-        """Until `ready`, called with the time it began; `UserError` if the child ends first."""
-        started = time.monotonic()
-        while not ready(started):
-            ended = self._child is None or self._child.poll() is not None
-            if ended or time.monotonic() - started > START_TIMEOUT:
-                reason = self._last_error()
-                self.close()
-                raise UserError(
-                    f"{what} could not be opened ({reason}); try another of --view "
-                    f"{', '.join(VIEWS)}"
-                )
-            time.sleep(0.02)
-
-    def _last_error(self) -> str:
-        self._errors.seek(0)
-        lines = self._errors.read().decode(errors="replace").split("\n")
-        told = [line for line in lines if "error" in line.lower()] or ["no reason given"]
-        return re.sub(r".*\.rs:\d+: |^Error: ", "", told[-1]).strip(" .")
-
-    def _stop_child(self) -> None:
-        if self._child is None:
-            return
-        self._child.terminate()
-        try:
-            self._child.wait(timeout=0.5)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
-
-
-def rerun_binary() -> Path:
-    """rerun's own executable; its `rerun` command is a wrapper that would leave it behind."""
-    spec = importlib.util.find_spec("rerun_cli")
-    folder = Path(spec.origin).parent if spec is not None and spec.origin else Path()
-    for name in _BINARIES:
-        if (folder / name).is_file():
-            return folder / name
-    raise UserError(f"rerun: expected its executable in {folder}; reinstall rerun-sdk")
-
-
-def free_port(preferred: int = 0) -> int:
-    """`preferred` if it is free on the loopback interface, else any port that is."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((HOST, preferred))
-        except OSError:
-            probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])
+    def _open(self, what: str, arguments: tuple[str, ...], ready: Callable[[float], bool]) -> None:
+        """Start the child and wait until it shows; `UserError` if it does not."""
+        self._child = RerunProcess(*arguments)
+        reason = self._child.wait(ready)
+        if reason is not None:
+            self.close()
+            raise UserError(
+                f"{what} could not be opened ({reason}); try another of --view {', '.join(VIEWS)}"
+            )
 
 
 def _answers(port: int) -> bool:
@@ -168,9 +104,3 @@ def _writable(file: Path) -> Path:
     except OSError as error:
         raise UserError(f"--out: cannot write {file}: {error.strerror}") from None
     return file
-
-
-def _die_with_parent() -> Callable[[], None]:
-    # Loaded before the fork: the child may only make the system call.
-    libc = ctypes.CDLL(None)
-    return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM) and None

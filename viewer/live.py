@@ -28,6 +28,8 @@ from viewer.scene import Scene
 NICENESS = 10
 # Blocks of the robot come at this rate [s].
 DRAW_PERIOD = 0.1
+# Rows of the link may come this much later than those of the robot, which are of the same time.
+PATIENCE_NS = 500_000_000
 
 
 def watch(
@@ -50,9 +52,9 @@ def watch(
     recording = new_recording(f"{robot.name}, live")
     file = out / "recording.rrd" if out is not None else None
     # Before the bus: its threads must not be forked into the display's child process.
-    display = Display(recording, view, blueprint=layout(live=True), file=file)
+    display = Display(recording, view, blueprint=layout(config, live=True), file=file)
     session = None
-    drawn = _Drawn(Scene(recording, robot, meshes), say)
+    drawn = _Drawn(Scene(recording, robot, config, meshes=meshes), say)
     try:
         session = connect(telemetry, stopped=stopped)
         if session is None:
@@ -100,6 +102,7 @@ class _Drawn:
                 if not self.refused:
                     self._say(f"a block cannot be drawn: {error}")
                 self.refused += 1
+        self._scene.look_for_silence(patience_ns=PATIENCE_NS)
 
     def _count(self, schema: Schema, rows: np.ndarray) -> None:
         """Ticks are numbered: a gap is a block that was lost on the way or dropped by the queue."""

@@ -1,4 +1,4 @@
-"""What is plotted: each series, its unit and the telemetry columns it comes from.
+"""What is plotted over time: each series, its unit and the telemetry columns it comes from.
 
 A 1 kHz signal is thinned to its least and its largest sample per `BUCKET_NS`, at the times they
 really had, so that a spike of one tick is never hidden. Absent values (no projector yet, a lost
@@ -13,18 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.report import SOURCES
+from shared.robots import Foot
 from shared.telemetry import Schema
+from shared.wbc.contacts import ROWS_PER_FOOT, ROWS_PER_POINT, ContactMode
+from viewer.outages import OUTAGE, PASSING, SILENT
+from viewer.track import Colour
 
 BUCKET_NS = 10_000_000
+# Of a robot that falls both grow without bound and meaning; what came before should be seen.
+MAX_COM_ERROR_CM = 30.0
+MAX_CONTACT_VIOLATION = 5.0  # m/s²
 
 BLUE, ORANGE, GREEN, RED = (76, 142, 247), (255, 158, 44), (64, 191, 128), (235, 72, 72)
 PURPLE, GREY, YELLOW = (178, 122, 240), (140, 148, 160), (250, 214, 80)
-
-Colour = tuple[int, int, int]
-
-# In the order of `SOURCES`: fresh, cached, held, on board, corrected, stopping.
-SOURCE_COLOURS: tuple[Colour, ...] = (GREEN, BLUE, RED, PURPLE, GREY, ORANGE)
-SOURCE_PATH = "plots/source"
+CYAN = (72, 202, 228)
 
 
 @dataclass(frozen=True)
@@ -42,20 +44,74 @@ class LinkSeries:
     """One direction of the link: delays as lines, lost messages as marks at the nominal delay."""
 
     direction: int
+    name: str
     path: str
     lost_path: str
+    colour: Colour
 
 
-LINK_NAMES, LINK_COLOURS = ("nominal", "achieved"), (GREY, BLUE)
+@dataclass(frozen=True)
+class Lane:
+    """Something that is in one of a few states at a time: their names and colours."""
+
+    path: str
+    states: dict[str, Colour]
+
+
 LINKS = (
-    LinkSeries(direction=0, path="plots/uplink/delay", lost_path="plots/uplink/lost"),
-    LinkSeries(direction=1, path="plots/downlink/delay", lost_path="plots/downlink/lost"),
+    LinkSeries(0, "uplink", "plots/delay/uplink", "plots/delay/uplink_lost", BLUE),
+    LinkSeries(1, "downlink", "plots/delay/downlink", "plots/delay/downlink_lost", GREEN),
+)
+_LINK_STATES: dict[str, Colour] = {PASSING: (38, 70, 54), OUTAGE: RED, SILENT: (70, 74, 82)}
+LINK_LANES = (Lane("lanes/uplink", _LINK_STATES), Lane("lanes/downlink", _LINK_STATES))
+# In the order of `SOURCES`: fresh, cached, held, on board, corrected, stopping.
+_SOURCE_COLOURS: tuple[Colour, ...] = (GREEN, BLUE, RED, PURPLE, (52, 128, 140), ORANGE)
+SOURCE_LANE = Lane("lanes/command", dict(zip(SOURCES, _SOURCE_COLOURS, strict=True)))
+MODE_NAMES = {
+    ContactMode.DOUBLE_SUPPORT: "both feet",
+    ContactMode.LEFT_SUPPORT: "left foot",
+    ContactMode.RIGHT_SUPPORT: "right foot",
+}
+MODE_LANE = Lane(
+    "lanes/contact", dict(zip(MODE_NAMES.values(), (GREY, (176, 120, 48), CYAN), strict=True))
+)
+
+OVERRUN_PATH = "plots/compute/overrun"
+ACTIVE_SET_PATH = "plots/active_set"
+N_ACTIVE_ROWS = len(Foot) * ROWS_PER_FOOT
+# The feet are drawn apart by a few empty rows.
+_FEET_APART = 3
+ACTIVE_SET_HEIGHTS = np.arange(N_ACTIVE_ROWS) + _FEET_APART * (
+    np.arange(N_ACTIVE_ROWS) // ROWS_PER_FOOT
+)
+_ROW_KINDS = ("friction +x", "friction -x", "friction +y", "friction -y", "least normal force")
+ACTIVE_SET_NAMES = tuple(
+    f"{foot.value} foot, point {1 + row // ROWS_PER_POINT}: {_ROW_KINDS[row % ROWS_PER_POINT]}"
+    for foot in Foot
+    for row in range(ROWS_PER_FOOT)
+)
+ACTIVE_SET_COLOURS = tuple(
+    GREY if row % ROWS_PER_POINT == ROWS_PER_POINT - 1 else RED for row in range(N_ACTIVE_ROWS)
 )
 
 
-def source_name(index: int) -> str:
-    """Name of a command's source; a number where this viewer does not know it."""
-    return SOURCES[index] if 0 <= index < len(SOURCES) else f"source {index}"
+def active_rows(time_ns: np.ndarray, active_set: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bars of the raster: instants [ns], and heights (n, 40) with NaN where a row is not active.
+
+    `active_set` are bit masks, negative for none. A row is drawn in a bucket if it is active in any
+    of its ticks, so that one tick is never hidden. A span of one mask is its two ends.
+    """
+    if not len(time_ns):
+        return np.zeros(0, dtype=np.int64), np.zeros((0, N_ACTIVE_ROWS))
+    bucket = time_ns // BUCKET_NS
+    first = np.flatnonzero(np.append(True, np.diff(bucket) != 0))
+    masks = np.bitwise_or.reduceat(np.maximum(active_set.astype(np.int64), 0), first)
+    begins = np.flatnonzero(np.append(True, np.diff(masks) != 0))
+    starts = time_ns[first][begins]
+    ends = np.append(starts[1:], time_ns[-1] + 1) - 1
+    active = masks[begins, None] >> np.arange(N_ACTIVE_ROWS) & 1
+    heights = np.where(active, ACTIVE_SET_HEIGHTS, np.nan)
+    return np.column_stack([starts, ends]).ravel(), np.repeat(heights, 2, axis=0)
 
 
 def milliseconds(nanoseconds: np.ndarray) -> np.ndarray:
@@ -74,13 +130,17 @@ TICK_SERIES = (
         path="plots/com_error",
         names=("CoM error",),
         colours=(ORANGE,),
-        values=lambda schema, rows: 100.0 * schema.column(rows, "com_error_m")[:, None],
+        values=lambda schema, rows: np.minimum(
+            100.0 * schema.column(rows, "com_error_m")[:, None], MAX_COM_ERROR_CM
+        ),
     ),
     Series(
         path="plots/contact_violation",
         names=("contact violation",),
         colours=(RED,),
-        values=lambda schema, rows: schema.column(rows, "contact_violation_m_s2")[:, None],
+        values=lambda schema, rows: np.minimum(
+            schema.column(rows, "contact_violation_m_s2")[:, None], MAX_CONTACT_VIOLATION
+        ),
     ),
     Series(
         path="plots/correction",
@@ -108,11 +168,9 @@ SOLVE_SERIES = Series(
 )
 
 
-def link_delays(schema: Schema, rows: np.ndarray) -> np.ndarray:
-    """Nominal and achieved delay [ms] of messages, (n, 2); NaN achieved where lost."""
-    return np.column_stack(
-        [milliseconds(schema.column(rows, name)) for name in ("nominal_ns", "achieved_ns")]
-    )
+def link_delay(schema: Schema, rows: np.ndarray) -> np.ndarray:
+    """Delay that messages had [ms], (n, 1); NaN where lost."""
+    return milliseconds(schema.column(rows, "achieved_ns"))[:, None]
 
 
 def peak_rows(time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:

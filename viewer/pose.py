@@ -1,9 +1,10 @@
 """Where everything of the scene is, in the world frame, from one row of the robot's telemetry.
 
     contact point p = world_from_sole · corner,    contact force = R_world_from_sole · f
+    friction used = max(|f_x|, |f_y|) / μ f_z,     centre of pressure = Σ p F_z / Σ F_z
 
 The support polygon is the convex hull of the loaded soles' contact points, laid on the ground.
-Pure: no drawing, no I/O.
+Forces are those that the controller commands. Pure: no drawing, no I/O.
 """
 
 from __future__ import annotations
@@ -18,52 +19,96 @@ from shared.robots import Foot, Robot
 from shared.robots.description import sole_frame_name
 from shared.wbc.contacts import CORNER_MARGIN, POINTS_PER_FOOT, ContactMode
 
+# A point that carries less has no direction of force to speak of [N].
+CARRYING = 5.0
+_PYRAMID = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class Placements:
+    """Joints in the world: `translation` (n, 3) [m], `quat_xyzw` (n, 4)."""
+
+    translation: np.ndarray
+    quat_xyzw: np.ndarray
+
 
 @dataclass(frozen=True)
 class Frame:
     """The scene at one instant, world frame.
 
-    `joint_translation` (n, 3) [m] and `joint_quat_xyzw` (n, 4) of the joints asked for;
-    `contact_points` (k, 3) [m] and `contact_forces` (k, 3) [N], k = 4 per loaded foot;
-    `support_polygon` (m + 1, 3) [m], closed: its first point is repeated at the end.
+    `joints` as asked for; `contact_points` (k, 3) [m] and `contact_forces` (k, 3) [N], k = 4 per
+    loaded foot; `friction_edges` (k, 4, 3) [N] are the edges of each point's friction pyramid up to
+    its normal force; `friction_used` (k,) is 1 on the pyramid, 0 in its middle and at points that
+    carry nothing; `centre_of_pressure` (3,) on the ground, NaN without forces; `support_polygon`
+    (m + 1, 3) [m], closed: its first point is repeated at the end.
     """
 
-    joint_translation: np.ndarray
-    joint_quat_xyzw: np.ndarray
+    joints: Placements
     contact_points: np.ndarray
     contact_forces: np.ndarray
+    friction_edges: np.ndarray
+    friction_used: np.ndarray
+    centre_of_pressure: np.ndarray
     support_polygon: np.ndarray
 
 
 class PoseModel:
-    """Forward kinematics of one robot for the scene. Not shared between threads."""
+    """Forward kinematics of one robot for the scene, with the friction μ that its controller
+    reckons with. Not shared between threads.
+    """
 
-    def __init__(self, robot: Robot, joints: Sequence[int]) -> None:
+    def __init__(self, robot: Robot, joints: Sequence[int], *, friction: float) -> None:
         self._model = robot.model
         self._data = robot.model.createData()
         self._joints = tuple(joints)
+        self._friction = friction
         self._soles = {foot: robot.model.getFrameId(sole_frame_name(foot)) for foot in Foot}
         self._corners = {foot.side: foot.corners(CORNER_MARGIN) for foot in robot.description.feet}
 
-    def frame(self, q: np.ndarray, f: np.ndarray, mode: ContactMode) -> Frame:
-        """The scene at q (nq,) with the point forces f (24,) [N] in the sole frames."""
+    def joints(self, q: np.ndarray) -> Placements:
+        """The joints asked for at q (nq,)."""
         pin.framesForwardKinematics(self._model, self._data, q)
         placements = np.array([pin.SE3ToXYZQUAT(self._data.oMi[joint]) for joint in self._joints])
-        points, forces = [], []
+        return Placements(placements[:, :3], placements[:, 3:])
+
+    def frame(self, q: np.ndarray, f: np.ndarray, mode: ContactMode) -> Frame:
+        """The scene at q (nq,) with the point forces f (24,) [N] in the sole frames."""
+        joints = self.joints(q)
+        points, forces, edges, used = [], [], [], []
         for k, foot in zip(mode.feet_indices, mode.feet, strict=True):
             world_from_sole = self._data.oMf[self._soles[foot]]
             rotation = world_from_sole.rotation
             points.append(self._corners[foot] @ rotation.T + world_from_sole.translation)
             in_sole = f.reshape(-1, 3)[k * POINTS_PER_FOOT : (k + 1) * POINTS_PER_FOOT]
             forces.append(in_sole @ rotation.T)
-        contact_points = np.vstack(points)
+            pyramid = _PYRAMID * [self._friction, self._friction, 1.0] @ rotation.T
+            edges.append(np.maximum(in_sole[:, 2], 0.0)[:, None, None] * pyramid)
+            used.append(self._friction_used(in_sole))
+        contact_points, contact_forces = np.vstack(points), np.vstack(forces)
         return Frame(
-            joint_translation=placements[:, :3],
-            joint_quat_xyzw=placements[:, 3:],
+            joints=joints,
             contact_points=contact_points,
-            contact_forces=np.vstack(forces),
+            contact_forces=contact_forces,
+            friction_edges=np.vstack(edges),
+            friction_used=np.concatenate(used),
+            centre_of_pressure=_centre_of_pressure(contact_points, contact_forces[:, 2]),
             support_polygon=on_the_ground(convex_hull(contact_points[:, :2])),
         )
+
+    def _friction_used(self, forces: np.ndarray) -> np.ndarray:
+        """Part of the friction that forces (n, 3) in a sole frame use; 0 where hardly loaded."""
+        tangential = np.abs(forces[:, :2]).max(axis=1)
+        allowed = self._friction * np.maximum(forces[:, 2], 0.0)
+        carrying = np.linalg.norm(forces, axis=1) > CARRYING
+        return np.where(carrying, tangential / np.maximum(allowed, 1e-9), 0.0)
+
+
+def _centre_of_pressure(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    total = normal.sum()
+    if total < CARRYING:
+        return np.full(3, np.nan)
+    centre: np.ndarray = on_the_ground((normal @ points / total)[None])[0]
+    return centre
 
 
 def on_the_ground(points: np.ndarray) -> np.ndarray:

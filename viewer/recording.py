@@ -1,32 +1,35 @@
-"""A recording of a finished run, from the tables in its folder.
+"""Recordings of finished runs: of one alone, or of several drawn side by side.
 
-    config.toml         the run's configuration, which names the robot
-    telemetry.parquet   the robot's rows
-    link.parquet        the link's rows, if there
-    edge.parquet        the edge's rows, if there
-
-The result is `recording.rrd`, opened by `rerun recording.rrd`.
+`record` leaves `recording.rrd` in a run's folder, opened by `rerun recording.rrd`.
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
 
-import numpy as np
-import pyarrow as pa
 import rerun as rr
+import rerun.blueprint as rrb
 
-from shared.config_file import load_config
 from shared.errors import UserError
 from shared.robots import load_robot
-from shared.telemetry import Schema, read_parquet, row_chunks
-from viewer.blueprint import layout
+from shared.telemetry import row_chunks
+from viewer.blueprint import compared_layout, layout
 from viewer.meshes import load_meshes
+from viewer.outages import OUTAGE_NS
+from viewer.plots import BLUE, GREEN, ORANGE, PURPLE, RED, YELLOW
+from viewer.run_folder import RunFolder, read_run
 from viewer.scene import Scene
+from viewer.track import Track
 
 APPLICATION = "remote-wbc"
+# Of the runs that are compared, in their order.
+RUN_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, YELLOW, RED)
+# Robots side by side stand this far apart [m].
+SIDE_BY_SIDE = 1.2
 
 
 @dataclass(frozen=True)
@@ -45,41 +48,88 @@ def new_recording(name: str) -> rr.RecordingStream:
     return recording
 
 
-def record(run: Path) -> Recorded:
-    """Build `run`/recording.rrd; `UserError` if the folder is not that of a run."""
-    if not run.is_dir():
-        raise UserError(f"record: expected the folder of a run, got {run}")
-    robot = load_robot(load_config(run / "config.toml").robot.name)
-    tables = [_read(run / "telemetry.parquet")]
-    if "q" not in tables[0][0].slices:
-        raise UserError(f"record: expected rows of the robot in {run / 'telemetry.parquet'}")
-    tables += [_read(run / n) for n in ("link.parquet", "edge.parquet") if (run / n).exists()]
-    path, partial = run / "recording.rrd", run / "recording.rrd.partial"
-    recording = new_recording(run.resolve().name)
+def record(path: Path) -> Recorded:
+    """Build `path`/recording.rrd; `UserError` if the folder is not that of a run."""
+    run = read_run(path)
+    file = path / "recording.rrd"
+    save([run], file)
+    return Recorded(file, run.rows, file.stat().st_size)
+
+
+def save(runs: Sequence[RunFolder], file: Path, *, picture: bool = False) -> None:
+    """Write a recording of `runs`; `UserError` if it cannot be written, and no file is left."""
+    partial = file.with_name(f"{file.name}.partial")
+    recording = new_recording(title(runs))
     try:
-        recording.save(partial, default_blueprint=layout(live=False))
-        scene = Scene(recording, robot, load_meshes(robot))
-        for schema, rows in tables:
-            for chunk in row_chunks(rows):
-                scene.log_rows(schema, chunk)
+        recording.save(partial, default_blueprint=blueprint(runs, picture=picture))
+        log_runs(recording, runs)
         recording.disconnect()
-        partial.replace(path)
+        partial.replace(file)
     except OSError as error:
-        raise UserError(f"record: cannot write {path}: {error.strerror or error}") from None
+        raise UserError(f"cannot write {file}: {error.strerror or error}") from None
     finally:
         recording.disconnect()
         partial.unlink(missing_ok=True)
-    return Recorded(path, sum(len(rows) for _, rows in tables), path.stat().st_size)
 
 
-def _read(path: Path) -> tuple[Schema, np.ndarray]:
+def title(runs: Sequence[RunFolder]) -> str:
+    """What the recording is called."""
+    return " and ".join(run.name for run in runs)
+
+
+def blueprint(runs: Sequence[RunFolder], *, picture: bool = False) -> rrb.Blueprint:
+    """The layout for one run, or for several."""
+    if len(runs) == 1:
+        return layout(runs[0].config, live=False, picture=picture)
+    return compared_layout([run.config for run in runs], picture=picture)
+
+
+def log_runs(recording: rr.RecordingStream, runs: Sequence[RunFolder]) -> None:
+    """Draw all of them, one beside the other from right to left."""
+    tracks = [Track()] if len(runs) == 1 else _tracks(runs)
+    for run, track in zip(runs, tracks, strict=True):
+        robot = load_robot(run.config.robot.name)
+        scene = Scene(recording, robot, run.config, meshes=load_meshes(robot), track=track)
+        for schema, rows in run.tables:
+            for chunk in row_chunks(rows):
+                scene.log_rows(schema, chunk)
+        scene.look_for_silence(patience_ns=OUTAGE_NS)
+        if not track.alone:
+            _log_sign(recording, run, track)
+
+
+def _tracks(runs: Sequence[RunFolder]) -> list[Track]:
+    """One beside the other in the order given, named by what differs between them."""
+    if len(runs) > len(RUN_COLOURS):
+        raise UserError(f"expected at most {len(RUN_COLOURS)} runs to compare, got {len(runs)}")
+    names = [run.name for run in runs]
+    if len(set(names)) < len(names):
+        names = [str(run.path) for run in runs]
+    if len(set(names)) < len(names):
+        raise UserError(f"expected different runs to compare, got {', '.join(names)}")
+    middle = (len(runs) - 1) / 2
+    return [
+        Track(name, RUN_COLOURS[k], (0.0, (k - middle) * SIDE_BY_SIDE, 0.0))
+        for k, name in enumerate(names)
+    ]
+
+
+def _log_sign(recording: rr.RecordingStream, run: RunFolder, track: Track) -> None:
+    """The run's name on the floor before its robot, and how it ended."""
+    fell = _fell(run.path)
+    ending = f", fell at {run.duration:.2f} s" if fell else ""
+    sign = rr.Points3D(
+        [(0.45, 0.0, 0.0)],
+        labels=[f"{track.name}: {run.config.controller.upper()}{ending}"],
+        colors=None if track.colour is None else [track.colour],
+        radii=[0.01],
+        show_labels=True,
+    )
+    recording.log(track.world("sign"), sign, static=True)
+
+
+def _fell(path: Path) -> bool:
     try:
-        return read_parquet(path)
-    except FileNotFoundError:
-        raise UserError(f"record: expected a table of telemetry at {path}, found none") from None
-    except (OSError, pa.ArrowException, ValueError) as error:
-        raise UserError(f"record: cannot read {path}: {_first_line(error)}") from None
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
+        return bool(json.loads((path / "summary.json").read_text(encoding="utf-8"))["fell"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return False

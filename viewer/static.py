@@ -1,4 +1,4 @@
-"""What of the scene never changes: the robot's meshes, colours, sizes, names and units.
+"""What of a run never changes: meshes, footsteps, colours, sizes, names and units.
 
 It is logged once, without a time, and kept by every server and file however long the run.
 """
@@ -7,72 +7,154 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import rerun as rr
 
-from shared.report import SOURCES
+from shared.motion.footprint import Footprint
+from shared.motion.reference import Motion
+from shared.motion.swing import swing
+from shared.motion.walking import Walking
+from shared.robots import Foot, Robot
 from viewer.meshes import LinkMesh
 from viewer.plots import (
+    ACTIVE_SET_COLOURS,
+    ACTIVE_SET_NAMES,
+    ACTIVE_SET_PATH,
     BLUE,
-    GREEN,
-    LINK_COLOURS,
-    LINK_NAMES,
+    CYAN,
+    LINK_LANES,
     LINKS,
+    MODE_LANE,
     ORANGE,
+    OVERRUN_PATH,
+    PURPLE,
     RED,
     SOLVE_SERIES,
-    SOURCE_COLOURS,
-    SOURCE_PATH,
+    SOURCE_LANE,
     TICK_SERIES,
     YELLOW,
-    Colour,
 )
+from viewer.recorder import Recorder
+from viewer.track import Colour
+
+GHOST_COLOUR = (90, 160, 255, 64)
+_FOOT_COLOURS: dict[Foot, Colour] = {Foot.LEFT: ORANGE, Foot.RIGHT: CYAN}
+# Above the ground, which has a grid at zero, and below what moves [m].
+_PRINT_HEIGHT = 0.001
+_SWING_POINTS = 20
 
 
-def log_static(
-    recording: rr.RecordingStream, meshes: Sequence[LinkMesh], frames: dict[int, str]
-) -> None:
-    """Log it. `frames` names the coordinate frame of each joint that carries a mesh."""
+def log_styles(recorder: Recorder) -> None:
+    """Colours, sizes and names of everything that will be drawn or plotted."""
+    recording, track = recorder.recording, recorder.track
     recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    for mesh in meshes:
-        _log_mesh(recording, mesh, frame=frames[mesh.joint])
+    if not track.alone:
+        recording.log(track.root, rr.Transform3D(translation=track.offset), static=True)
     styles = {
-        "contact_forces": rr.Arrows3D.from_fields(colors=[GREEN], radii=[0.008]),
+        "contact_forces": rr.Arrows3D.from_fields(radii=[0.007]),
+        "friction_cones": rr.LineStrips3D.from_fields(radii=[0.0012]),
         "push": rr.Arrows3D.from_fields(colors=[RED], radii=[0.015]),
         # A centre of mass, then its projection on the ground.
-        "com": rr.Points3D.from_fields(colors=[ORANGE], radii=[0.02, 0.01]),
-        "com_reference": rr.Points3D.from_fields(colors=[BLUE], radii=[0.02, 0.01]),
+        "com": rr.Points3D.from_fields(colors=[ORANGE], radii=[0.02, 0.012]),
+        "com_reference": rr.Points3D.from_fields(colors=[BLUE], radii=[0.02, 0.012]),
         "com_plumb_line": rr.LineStrips3D.from_fields(colors=[ORANGE], radii=[0.004]),
+        "centre_of_pressure": rr.Points3D.from_fields(colors=[PURPLE], radii=[0.014]),
         "support_polygon": rr.LineStrips3D.from_fields(colors=[YELLOW], radii=[0.004]),
     }
     for name, style in styles.items():
-        recording.log(f"world/{name}", style, static=True)
+        recording.log(track.world(name), style, static=True)
     for series in (*TICK_SERIES, SOLVE_SERIES):
-        _log_lines(recording, series.path, series.names, series.colours)
+        _log_lines(recorder, series.path, series.names, series.colours)
     for link in LINKS:
-        _log_lines(recording, link.path, LINK_NAMES, LINK_COLOURS)
-        marks = rr.SeriesPoints(colors=[RED], names=["lost"], markers=["cross"], marker_sizes=[5.0])
-        recording.log(link.lost_path, marks, static=True)
-    states = rr.StateConfiguration(values=SOURCES, labels=SOURCES, colors=SOURCE_COLOURS)
-    recording.log(SOURCE_PATH, states, static=True)
+        _log_lines(recorder, link.path, (link.name,), (link.colour,))
+        _log_marks(recorder, link.lost_path, f"{link.name}, lost")
+    _log_marks(recorder, OVERRUN_PATH, "overrun")
+    raster = rr.SeriesLines(names=ACTIVE_SET_NAMES, colors=ACTIVE_SET_COLOURS, widths=[2.5] * 40)
+    recording.log(track.plot(ACTIVE_SET_PATH), raster, static=True)
+    for lane in (SOURCE_LANE, MODE_LANE, *LINK_LANES):
+        states, colours = list(lane.states), list(lane.states.values())
+        configuration = rr.StateConfiguration(values=states, labels=states, colors=colours)
+        recording.log(track.plot(lane.path), configuration, static=True)
 
 
-def _log_mesh(recording: rr.RecordingStream, mesh: LinkMesh, *, frame: str) -> None:
-    placement = mesh.joint_from_mesh
-    recording.log(
-        f"world/robot/{mesh.name}",
-        rr.Asset3D(contents=mesh.glb, media_type=rr.MediaType.GLB),
-        rr.CoordinateFrame(f"{frame}/{mesh.name}"),
-        rr.Transform3D(
-            translation=placement.translation,
-            mat3x3=placement.rotation,
-            parent_frame=frame,
-            child_frame=f"{frame}/{mesh.name}",
-        ),
-        static=True,
+def log_robot(
+    recorder: Recorder,
+    meshes: Sequence[LinkMesh],
+    frames: dict[int, str],
+    *,
+    ghost: bool = False,
+) -> None:
+    """The meshes, translucent for a ghost; `frames` names the frame of each joint that has one."""
+    folder = recorder.track.world("ghost" if ghost else "robot")
+    for mesh in meshes:
+        placement = mesh.joint_from_mesh
+        frame = frames[mesh.joint]
+        recorder.recording.log(
+            f"{folder}/{mesh.name}",
+            rr.Asset3D(
+                contents=mesh.glb,
+                media_type=rr.MediaType.GLB,
+                albedo_factor=GHOST_COLOUR if ghost else None,
+            ),
+            rr.CoordinateFrame(f"{frame}/{mesh.name}"),
+            rr.Transform3D(
+                translation=placement.translation,
+                mat3x3=placement.rotation,
+                parent_frame=frame,
+                child_frame=f"{frame}/{mesh.name}",
+            ),
+            static=True,
+        )
+
+
+def log_footsteps(recorder: Recorder, robot: Robot, motion: Motion, *, swing_height: float) -> None:
+    """The planned soles of a walk as outlines, and the way of the swing foot between them."""
+    if not isinstance(motion, Walking):
+        return
+    soles = {foot.side: foot.corners()[[0, 1, 3, 2, 0], :2] for foot in robot.description.feet}
+    first = motion.steps[0]
+    prints = [first.support, first.start, *(step.goal for step in motion.steps)]
+    outlines = rr.LineStrips3D(
+        [_outline(each, soles[each.foot]) for each in prints],
+        colors=[_FOOT_COLOURS[each.foot] for each in prints],
+        radii=[0.0025],
     )
+    ways = [
+        [
+            swing(step.start, step.goal, time=u, duration=1.0, height=swing_height).position
+            for u in np.linspace(0.0, 1.0, _SWING_POINTS)
+        ]
+        for step in motion.steps
+    ]
+    paths = rr.LineStrips3D(
+        ways, colors=[_FOOT_COLOURS[step.swing_foot] for step in motion.steps], radii=[0.0015]
+    )
+    track = recorder.track
+    recorder.recording.log(track.world("footsteps"), outlines, static=True)
+    recorder.recording.log(track.world("swing_paths"), paths, static=True)
+
+
+def _outline(footprint: Footprint, corners: np.ndarray) -> np.ndarray:
+    return np.array([[*footprint.to_world((x, y)), _PRINT_HEIGHT] for x, y in corners])
 
 
 def _log_lines(
-    recording: rr.RecordingStream, path: str, names: Sequence[str], colours: Sequence[Colour]
+    recorder: Recorder, path: str, names: Sequence[str], colours: Sequence[Colour]
 ) -> None:
-    recording.log(path, rr.SeriesLines(names=names, colors=colours), static=True)
+    track = recorder.track
+    lines = rr.SeriesLines(
+        names=[track.line_name(name) for name in names],
+        colors=list(colours) if track.colour is None else [track.colour] * len(names),
+    )
+    recorder.recording.log(track.plot(path), lines, static=True)
+
+
+def _log_marks(recorder: Recorder, path: str, name: str) -> None:
+    track = recorder.track
+    marks = rr.SeriesPoints(
+        colors=[RED if track.colour is None else track.colour],
+        names=[track.line_name(name)],
+        markers=["cross"],
+        marker_sizes=[5.0],
+    )
+    recorder.recording.log(track.plot(path), marks, static=True)

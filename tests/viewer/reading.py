@@ -14,7 +14,9 @@ def entities(recording: Path) -> set[str]:
     return {str(chunk.entity_path) for chunk in RrdReader(recording).stream()}
 
 
-def logged(recording: Path, path: str, component: str) -> tuple[np.ndarray, list[Any]]:
+def logged(
+    recording: Path, path: str, component: str, *, timeline: str = "task_time"
+) -> tuple[np.ndarray, list[Any]]:
     """Times [ns] of an entity's rows, in order, and the values of one component in each."""
     times, values = [], []
     for chunk in RrdReader(recording).stream():
@@ -22,7 +24,7 @@ def logged(recording: Path, path: str, component: str) -> tuple[np.ndarray, list
             continue
         batch = chunk.to_record_batch()
         if component in batch.schema.names:
-            times += batch["task_time"].cast("int64").to_pylist()
+            times += batch[timeline].cast("int64").to_pylist()
             values += batch[component].to_pylist()
     order = np.argsort(times, kind="stable")
     return np.array(times, dtype=np.int64)[order], [values[k] for k in order]

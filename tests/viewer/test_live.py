@@ -23,9 +23,12 @@ from shared.wire.channels import LINK_KEY, TICKS_KEY
 from tests.viewer.reading import logged
 from tests.viewer.synthetic import link_rows, tick_rows
 from viewer.blueprint import layout
-from viewer.display import Display, free_port
+from viewer.display import Display
 from viewer.intake import BlockQueue, connect
 from viewer.recording import new_recording
+from viewer.rerun_process import free_port
+
+LAYOUT = layout(RunConfig(), live=True)
 
 
 def test_a_full_queue_drops_its_oldest_blocks_and_counts_them() -> None:
@@ -56,12 +59,12 @@ def test_a_dead_screen_is_told_with_what_else_to_try(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("DISPLAY", ":987")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(UserError, match=r"window could not be opened.*--view native, web, record"):
-        Display(new_recording("test"), "native", blueprint=layout(live=True), file=None)
+        Display(new_recording("test"), "native", blueprint=LAYOUT, file=None)
 
 
 def test_recording_without_a_folder_is_refused() -> None:
     with pytest.raises(UserError, match="--out DIR"):
-        Display(new_recording("test"), "record", blueprint=layout(live=True), file=None)
+        Display(new_recording("test"), "record", blueprint=LAYOUT, file=None)
 
 
 def test_a_taken_port_is_not_chosen() -> None:

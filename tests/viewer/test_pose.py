@@ -12,11 +12,12 @@ from viewer.pose import PoseModel, convex_hull
 
 # Kinematics in float64 on lengths of about a metre and forces of about 100 N.
 EXACT = 1e-9
+FRICTION = 0.5
 
 
 @pytest.fixture
 def pose(robot: Robot) -> PoseModel:
-    return PoseModel(robot, [1])
+    return PoseModel(robot, [1], friction=FRICTION)
 
 
 def turned(robot: Robot, *, yaw: float) -> np.ndarray:
@@ -107,7 +108,40 @@ def test_the_hull_leaves_inner_and_repeated_points_out() -> None:
 def test_joint_placements_are_those_of_the_kinematics(robot: Robot) -> None:
     joints = [1, robot.model.njoints - 1]
     q = turned(robot, yaw=0.3)
-    frame = PoseModel(robot, joints).frame(q, np.zeros(24), ContactMode.DOUBLE_SUPPORT)
-    np.testing.assert_allclose(frame.joint_translation[0], q[:3], atol=EXACT)
-    np.testing.assert_allclose(np.abs(frame.joint_quat_xyzw[0] @ q[3:7]), 1.0, atol=EXACT)
-    assert frame.joint_translation.shape == (2, 3)
+    placements = PoseModel(robot, joints, friction=FRICTION).joints(q)
+    np.testing.assert_allclose(placements.translation[0], q[:3], atol=EXACT)
+    np.testing.assert_allclose(np.abs(placements.quat_xyzw[0] @ q[3:7]), 1.0, atol=EXACT)
+    assert placements.translation.shape == (2, 3)
+
+
+def test_friction_used_is_one_on_the_pyramid_and_nothing_at_points_that_carry_nothing(
+    robot: Robot, pose: PoseModel
+) -> None:
+    f = np.tile([0.0, 0.0, 40.0], (8, 1))
+    f[0] = [20.0, 5.0, 40.0]
+    f[1] = [0.0, -10.0, 40.0]
+    f[2] = [1.0, 0.0, 1.0]
+    f[3] = [0.0, 30.0, -20.0]
+    quarter_turn = turned(robot, yaw=np.pi / 2)
+    frame = pose.frame(quarter_turn, f.ravel(), ContactMode.DOUBLE_SUPPORT)
+    np.testing.assert_allclose(frame.friction_used[:3], [1.0, 0.5, 0.0])
+    assert frame.friction_used[3] > 1.0, "a sole that pulls is beyond every friction"
+
+
+def test_a_force_at_its_limit_ends_on_the_rim_of_its_pyramid(robot: Robot, pose: PoseModel) -> None:
+    f = np.tile([20.0, 20.0, 40.0], 8)
+    tilted = robot.q_standing.copy()
+    tilted[3:7] = pin.Quaternion(pin.utils.rpyToMatrix(0.2, -0.3, 0.7)).coeffs()
+    frame = pose.frame(tilted, f, ContactMode.DOUBLE_SUPPORT)
+    np.testing.assert_allclose(frame.friction_edges[:, 0], frame.contact_forces, atol=EXACT)
+
+
+def test_the_centre_of_pressure_is_under_the_load(robot: Robot, pose: PoseModel) -> None:
+    f = np.zeros((8, 3))
+    f[5, 2] = 200.0
+    frame = pose.frame(robot.q_standing, f.ravel(), ContactMode.DOUBLE_SUPPORT)
+    under = [*frame.contact_points[5, :2], 0.0]
+    # The soles of this posture are level to 1e-6 rad.
+    np.testing.assert_allclose(frame.centre_of_pressure, under, atol=1e-5)
+    unloaded = pose.frame(robot.q_standing, np.zeros(24), ContactMode.DOUBLE_SUPPORT)
+    assert np.isnan(unloaded.centre_of_pressure).all()

@@ -44,8 +44,10 @@ def test_a_run_becomes_a_recording_with_robot_plots_and_layout(run: Path, robot:
     assert recorded.rows == 300 + 600 + 300
     expected = {
         *("/world/joints", "/world/contact_forces", "/world/support_polygon", "/world/com"),
-        *("/world/com_reference", "/world/push", "/plots/uplink/delay", "/plots/downlink/lost"),
-        *("/plots/projector_age", "/plots/compute/solve", "/plots/source"),
+        *("/world/com_reference", "/world/push", "/world/ghost_joints", "/world/friction_cones"),
+        *("/world/centre_of_pressure", "/plots/delay/uplink", "/plots/delay/downlink_lost"),
+        *("/plots/projector_age", "/plots/compute/solve", "/plots/active_set"),
+        *("/lanes/command", "/lanes/contact", "/lanes/uplink", "/lanes/downlink"),
     }
     assert expected <= entities(recorded.path)
     assert len(RrdReader(recorded.path).blueprints()) == 1
@@ -57,7 +59,7 @@ def test_every_mesh_hangs_on_the_joint_that_carries_it(run: Path, robot: Robot) 
     for mesh in load_meshes(robot):
         entity = f"/world/robot/{mesh.name}"
         (parent,) = static(path, entity, "Transform3D:parent_frame")
-        assert parent == [f"{robot.name}/{robot.model.names[mesh.joint]}"]
+        assert parent == [f"world/robot/{robot.model.names[mesh.joint]}"]
         (blob,) = static(path, entity, "Asset3D:blob")
         assert bytes(blob[0]) == mesh.glb
 
@@ -88,9 +90,9 @@ def swap_tables(run: Path) -> None:
     ("spoil", "told"),
     [
         (spoil_config, "robot: expected one of romeo"),
-        (remove_telemetry, "found none"),
+        (remove_telemetry, "found no telemetry.parquet"),
         (spoil_telemetry, "cannot read"),
-        (swap_tables, "expected rows of the robot"),
+        (swap_tables, "expected the rows of a romeo as this version records them, found no tick"),
     ],
 )
 def test_a_spoilt_run_is_refused_in_one_line_and_leaves_no_recording(

@@ -8,29 +8,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from shared.config import RunConfig
 from shared.errors import UserError
 from shared.robots import Robot
 from shared.telemetry import Column, Schema, tick_schema
-from tests.viewer.reading import logged
+from tests.viewer.reading import entities, logged, static
 from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
+from viewer.plots import GREEN, RED
 from viewer.recording import new_recording
-from viewer.scene import NEWTONS_PER_METRE, Scene
+from viewer.scene import Scene
+from viewer.track import Track
+from viewer.world import MAX_FORCE, NEWTONS_PER_METRE
 
 MILLISECOND = 1_000_000
 Rows = tuple[Schema, np.ndarray]
 
 
 @pytest.fixture
-def draw(robot: Robot, tmp_path: Path) -> Callable[..., Path]:
+def draw(robot: Robot, config: RunConfig, tmp_path: Path) -> Callable[..., Path]:
     """Draws batches of rows, in order, into a file."""
 
     def build(*batches: Rows) -> Path:
         path = tmp_path / "scene.rrd"
         recording = new_recording("test")
         recording.save(path)
-        scene = Scene(recording, robot, meshes=())
+        scene = Scene(recording, robot, config, meshes=())
         for schema, rows in batches:
             scene.log_rows(schema, rows)
+        scene.look_for_silence(patience_ns=50 * MILLISECOND)
         recording.disconnect()
         return path
 
@@ -95,21 +100,107 @@ def test_messages_wait_for_the_first_row_of_the_robot_and_share_its_time(
     robot: Robot, draw: Callable[..., Path]
 ) -> None:
     path = draw(link_rows(300, lost_every=150), solve_rows(300), tick_rows(robot, 300, waiting=100))
-    times, delays = logged(path, "/plots/downlink/delay", "Scalars:scalars")
+    times, delays = logged(path, "/plots/delay/downlink", "Scalars:scalars")
     assert times[0] == 0, "what came before the task began is not plotted"
     assert times[-1] == 199 * MILLISECOND
-    np.testing.assert_allclose(delays[0], [30.0, 30.1])
-    lost_at, lost = logged(path, "/plots/uplink/lost", "Scalars:scalars")
+    np.testing.assert_allclose(delays[0], [30.1])
+    lost_at, lost = logged(path, "/plots/delay/uplink_lost", "Scalars:scalars")
     np.testing.assert_array_equal(lost_at, [50 * MILLISECOND])
     np.testing.assert_allclose(lost, [[15.0]])
     assert logged(path, "/plots/compute/solve", "Scalars:scalars")[0][0] == 0
 
 
-def test_the_source_is_logged_when_it_changes_only(robot: Robot, draw: Callable[..., Path]) -> None:
+def test_states_are_logged_when_they_change_only(robot: Robot, draw: Callable[..., Path]) -> None:
     batches = [tick_rows(robot, 100, start=100 * k) for k in range(6)]
-    times, names = logged(draw(*batches), "/plots/source", "StateChange:state")
+    path = draw(*batches)
+    assert logged(path, "/lanes/contact", "StateChange:state")[1] == [["both feet"]]
+    times, names = logged(path, "/lanes/command", "StateChange:state")
     assert names == [["cached"], ["fresh"], ["cached"]]
     np.testing.assert_array_equal(times, np.array([0, 250, 500]) * MILLISECOND)
+
+
+def test_a_source_that_this_viewer_does_not_know_is_shown_by_its_number(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    schema, rows = tick_rows(robot, 10)
+    rows[:, schema.slices["source"]] = 17
+    assert logged(draw((schema, rows)), "/lanes/command", "StateChange:state")[1] == [["number 17"]]
+
+
+def test_a_force_beyond_its_friction_and_its_pyramid_are_red(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    schema, rows = tick_rows(robot, 1)
+    f = np.tile([0.0, 0.0, 50.0], (8, 1))
+    f[6] = [26.0, 0.0, 50.0]
+    rows[0, schema.slices["f"]] = f.ravel()
+    path = draw((schema, rows))
+    (colours,) = logged(path, "/world/contact_forces", "Arrows3D:colors")[1]
+    rgb = [tuple(int(colour).to_bytes(4, "big")[:3]) for colour in colours]
+    assert rgb == [GREEN] * 6 + [RED] + [GREEN]
+    (strips,) = logged(path, "/world/friction_cones", "LineStrips3D:strips")[1]
+    assert len(strips) == 2 * 8
+
+
+def test_the_boundless_forces_of_a_fall_stay_in_the_picture(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    schema, rows = tick_rows(robot, 1)
+    rows[0, schema.slices["f"]] = 1e7
+    (arrows,) = logged(draw((schema, rows)), "/world/contact_forces", "Arrows3D:vectors")[1]
+    lengths = np.linalg.norm(np.array(arrows), axis=1)
+    np.testing.assert_allclose(lengths, MAX_FORCE / NEWTONS_PER_METRE, rtol=1e-5)
+
+
+def test_an_overrun_is_marked_at_its_tick(robot: Robot, draw: Callable[..., Path]) -> None:
+    schema, rows = tick_rows(robot, 100)
+    rows[70:, schema.slices["overruns"]] = 1.0
+    rows[70, schema.slices["tick_ns"]] = 2.5e6
+    times, marks = logged(draw((schema, rows)), "/plots/compute/overrun", "Scalars:scalars")
+    np.testing.assert_array_equal(times, [70 * MILLISECOND])
+    np.testing.assert_allclose(marks, [[2.5]])
+
+
+def test_a_link_that_is_cut_shows_as_an_outage_without_an_end(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    path = draw(tick_rows(robot, 400), link_rows(200))
+    times, states = logged(path, "/lanes/uplink", "StateChange:state")
+    assert states == [["passing"], ["outage"]]
+    assert times[1] == pytest.approx((199 + 15.1) * MILLISECOND)
+    assert logged(path, "/lanes/downlink", "StateChange:state")[1][-1] == ["nothing sent"]
+
+
+def test_everything_has_its_time_on_the_clock_too(robot: Robot, draw: Callable[..., Path]) -> None:
+    path = draw(tick_rows(robot, 300, waiting=100), link_rows(300))
+    for entity, component in (
+        ("/world/joints", "Transform3D:translation"),
+        ("/plots/com_error", "Scalars:scalars"),
+        ("/plots/delay/uplink", "Scalars:scalars"),
+    ):
+        task, _ = logged(path, entity, component)
+        wall, _ = logged(path, entity, component, timeline="wall_time")
+        in_task = task >= 0
+        np.testing.assert_array_equal(wall[in_task], task[in_task] + 100 * MILLISECOND)
+
+
+def test_of_several_runs_each_has_its_own_entities_and_place(
+    robot: Robot, config: RunConfig, tmp_path: Path
+) -> None:
+    path = tmp_path / "several.rrd"
+    recording = new_recording("test")
+    recording.save(path)
+    for k, name in enumerate(("slow link", "pr")):
+        track = Track(name, (1, 2, 3), (0.0, float(k), 0.0))
+        Scene(recording, robot, config, meshes=(), track=track).log_rows(*tick_rows(robot, 20))
+    recording.disconnect()
+    found = entities(path)
+    assert {"/world/pr/joints", r"/world/slow\ link/joints", "/plots/com_error/pr"} <= found
+    assert not [each for each in found if "ghost" in each]
+    (place,) = static(path, "/world/pr", "Transform3D:translation")
+    np.testing.assert_allclose(place, [[0.0, 1.0, 0.0]])
+    frames = logged(path, "/world/pr/joints", "Transform3D:parent_frame")[1]
+    assert frames[0] == ["tf#/world/pr"]
 
 
 def test_a_robot_that_waits_is_shown_once_a_batch(robot: Robot, draw: Callable[..., Path]) -> None:

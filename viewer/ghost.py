@@ -1,0 +1,106 @@
+"""The reference as a robot: a posture that does what the plan asks for, all at once.
+
+The plan has a CoM, a heading of the base and two soles, but joint angles only to stay near to. The
+ghost is the posture that has the first three exactly and is nearest to the last, by Newton's method
+from the ghost before:
+
+    Δq = J⁺ r + (1 − J⁺ J) (posture − q)        r: of CoM, base orientation and both soles
+
+It is what the tasks track, not what they could reach: a robot that has been pushed away from its
+ghost is on its way back to it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from shared.motion.footprint import Footprint
+from shared.motion.footsteps import standing_footprints
+from shared.motion.reference import Motion, Reference
+from shared.motion.walking import Walking
+from shared.robots import Foot, Robot
+from shared.robots.description import sole_frame_name
+from shared.wbc.contacts import ContactMode
+
+# Errors of CoM and soles far below what can be seen [m, rad]; steps until there.
+TOLERANCE = 1e-4
+MAX_STEPS = 8
+# Keeps a stretched leg from asking for infinite joint angles.
+_DAMPING = 1e-6
+
+
+class Ghost:
+    """Postures of the plan, one after the other. Not shared between threads."""
+
+    def __init__(self, robot: Robot, motion: Motion) -> None:
+        self._model = robot.model
+        self._data = robot.model.createData()
+        self._frames = {foot: robot.model.getFrameId(sole_frame_name(foot)) for foot in Foot}
+        self._motion = motion
+        self._stopped = False
+        self._soles = {foot: _placed(each) for foot, each in standing_footprints(robot).items()}
+        self._q = robot.q_standing.copy()
+        self._met: Reference | None = None
+
+    def stop(self, time_ns: int) -> None:
+        """From `time_ns` on the robot ends its walk early, as it said by its commands."""
+        if not self._stopped:
+            self._motion = self._motion.stopped(time_ns)
+            self._stopped = True
+
+    def posture(self, time_ns: int) -> np.ndarray:
+        """The configuration (nq,) in which the plan is met at `time_ns` of the task."""
+        reference = self._motion.reference(max(0, time_ns))
+        if reference is self._met:
+            return self._q
+        self._place_soles(reference, time_ns)
+        for _ in range(MAX_STEPS):
+            if self._step(reference) < TOLERANCE:
+                break
+        self._met = reference
+        return self._q
+
+    def _place_soles(self, reference: Reference, time_ns: int) -> None:
+        if isinstance(self._motion, Walking):
+            self._soles = {each.foot: _placed(each) for each in _stance(self._motion, time_ns)}
+        # A walk that ends early has its feet where the last steps left them.
+        for sole in self._soles.values():
+            sole.translation[2] = 0.0
+        swing = reference.swing
+        if swing is not None:
+            (foot,) = (foot for foot in Foot if foot not in reference.mode.feet)
+            self._soles[foot] = pin.SE3(pin.utils.rotate("z", swing.yaw), swing.position)
+
+    def _step(self, reference: Reference) -> float:
+        """One step of Newton's method; the largest error before it."""
+        model, data = self._model, self._data
+        J_com = pin.jacobianCenterOfMass(model, data, self._q)
+        pin.computeJointJacobians(model, data, self._q)
+        pin.updateFramePlacements(model, data)
+        residuals = [reference.com - data.com[0]]
+        rows = [J_com]
+        turn = data.oMi[1].rotation.T @ reference.world_from_base
+        residuals.append(pin.log3(turn))
+        rows.append(np.eye(3, model.nv, 3))
+        for foot, frame in self._frames.items():
+            residuals.append(pin.log6(data.oMf[frame].actInv(self._soles[foot])).vector)
+            rows.append(pin.getFrameJacobian(model, data, frame, pin.LOCAL))
+        r, J = np.concatenate(residuals), np.vstack(rows)
+        to_posture = np.append(np.zeros(6), reference.posture - self._q[7:])
+        damped = J @ J.T + _DAMPING * np.eye(len(J))
+        step = to_posture + J.T @ np.linalg.solve(damped, r - J @ to_posture)
+        self._q = pin.integrate(model, self._q, step)
+        return float(np.abs(r).max())
+
+
+def _stance(walk: Walking, time_ns: int) -> tuple[Footprint, Footprint]:
+    """Where both soles are planned to be; of a foot in the air, where it came from."""
+    phase = next((each for each in walk.phases if time_ns < each.end_ns), walk.phases[-1])
+    step = walk.steps[0] if phase.step is None else phase.step
+    landed = phase.step is not None and phase.mode is ContactMode.DOUBLE_SUPPORT
+    return step.support, step.goal if landed else step.start
+
+
+def _placed(footprint: Footprint) -> pin.SE3:
+    return pin.SE3(pin.utils.rotate("z", footprint.yaw), np.array([footprint.x, footprint.y, 0.0]))

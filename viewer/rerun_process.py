@@ -1,0 +1,96 @@
+"""rerun's own executable as a child of this process, which it dies with however this one ends."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+from shared.errors import UserError
+
+HOST = "127.0.0.1"
+START_TIMEOUT = 10.0
+_BINARIES = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
+_PR_SET_PDEATHSIG = 1
+
+
+class RerunProcess:
+    """One rerun, listening on the loopback interface only."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  (until `stop`)
+        self._process = subprocess.Popen(
+            [str(rerun_binary()), "--bind", HOST, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=self._errors,
+            env={**os.environ, "RUST_LOG": "error", "RERUN_APP_ONLY": "true"},
+            preexec_fn=_die_with_parent() if sys.platform == "linux" else None,
+        )
+
+    @property
+    def running(self) -> bool:
+        return self._process.poll() is None
+
+    def wait(self, ready: Callable[[float], bool], *, timeout: float = START_TIMEOUT) -> str | None:
+        """Until `ready`, called with the time it began; else what it said before it failed."""
+        started = time.monotonic()
+        while not ready(started):
+            if not self.running or time.monotonic() - started > timeout:
+                return self._last_error()
+            time.sleep(0.02)
+        return None
+
+    def stop(self) -> None:
+        """End it; may be called again."""
+        self._process.terminate()
+        try:
+            self._process.wait(timeout=0.5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._errors.close()
+
+    def _last_error(self) -> str:
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").split("\n")
+        told = [line for line in lines if "panicked at" in line or "error" in line.lower()]
+        reason = told[-1] if told else "no reason given"
+        return re.sub(r".*\.rs:\d+: |^Error: |.*panicked at ", "", reason).strip(" .'")
+
+
+def rerun_binary() -> Path:
+    """rerun's own executable; its `rerun` command is a wrapper that would leave it behind."""
+    spec = importlib.util.find_spec("rerun_cli")
+    folder = Path(spec.origin).parent if spec is not None and spec.origin else Path()
+    for name in _BINARIES:
+        if (folder / name).is_file():
+            return folder / name
+    raise UserError(f"rerun: expected its executable in {folder}; reinstall rerun-sdk")
+
+
+def free_port(preferred: int = 0) -> int:
+    """`preferred` if it is free on the loopback interface, else any port that is."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, preferred))
+        except OSError:
+            probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+def _die_with_parent() -> Callable[[], None]:
+    # Loaded before the fork: the child may only make the system call.
+    libc = ctypes.CDLL(None)
+    return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM) and None

@@ -1,0 +1,44 @@
+"""Finished runs on a screen: one, or several side by side, until the window is closed."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from viewer.display import Display
+from viewer.recording import blueprint, log_runs, new_recording, title
+from viewer.run_folder import read_run
+
+_LOOK = 0.1
+
+
+def show(
+    paths: Sequence[Path],
+    *,
+    view: str,
+    stopped: Callable[[], bool],
+    say: Callable[[str], None],
+) -> None:
+    """Show runs until `stopped` or the window is closed; `auto` is a browser without a screen.
+
+    `UserError` if one of them is no run, or nothing can be opened.
+    """
+    runs = [read_run(path) for path in paths]
+    recording = new_recording(title(runs))
+    chosen = _with_or_without_screen() if view == "auto" else view
+    display = Display(recording, chosen, blueprint=blueprint(runs), file=None)
+    try:
+        log_runs(recording, runs)
+        recording.flush()
+        say(f"{title(runs)}: {display.address}; Ctrl-C ends")
+        while display.shown and not stopped():
+            time.sleep(_LOOK)
+    finally:
+        display.close()
+
+
+def _with_or_without_screen() -> str:
+    has_screen = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return "native" if has_screen else "web"

@@ -1,0 +1,161 @@
+"""Pictures and short animations of runs, without a screen.
+
+They are what the view shows: rerun draws the same recording by the same layout into memory, on any
+graphics adapter that speaks Vulkan; Mesa's software adapter will do.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+from rerun.experimental import ViewerClient
+
+from shared.errors import UserError
+from viewer.recorder import TIMELINE
+from viewer.recording import save
+from viewer.rerun_process import HOST, RerunProcess, free_port
+from viewer.run_folder import RunFolder, read_run
+
+# Of the window, in points; rerun leaves an empty bar where its top panel was.
+SIZE = (1360, 850)
+_EMPTY_BAR = 37
+ANIMATION_WIDTH = 960
+FRAMES_PER_SECOND = 12
+MAX_FRAMES = 600
+ANIMATIONS = (".gif", ".webp")
+_LOAD_TIMEOUT = 60.0
+_SAME = 3
+_ATTEMPTS = 5
+_GRAPHICS = (
+    "snapshot: rerun finds nothing to draw with ({reason}); install a graphics driver with Vulkan, "
+    "or Mesa's software one (on Debian: apt install mesa-vulkan-drivers)"
+)
+
+
+def picture(paths: Sequence[Path], out: Path, *, at: float | None = None) -> None:
+    """One picture of one run or several at `at` [s] of the task, by default the end."""
+    if out.suffix != ".png":
+        raise UserError(f"--out: expected a name ending in .png, got {out}")
+    runs = [read_run(path) for path in paths]
+    duration = max(run.duration for run in runs)
+    at = duration if at is None else at
+    if not 0.0 <= at <= duration:
+        raise UserError(f"--at: expected a time in the run, 0 to {duration:.3f} s, got {at:g}")
+    (drawn,) = _draw(runs, [at])
+    _write(drawn, out)
+
+
+def animation(
+    paths: Sequence[Path], out: Path, *, begin: float, end: float | None, speed: float
+) -> None:
+    """An animation from `begin` to `end` [s] of the task, `speed` times as fast as it was."""
+    if out.suffix not in ANIMATIONS:
+        raise UserError(
+            f"--animation: expected a name ending in {' or '.join(ANIMATIONS)}, got {out}"
+        )
+    if not (math.isfinite(speed) and speed > 0.0):
+        raise UserError(f"--speed: expected a number above 0, got {speed:g}")
+    runs = [read_run(path) for path in paths]
+    duration = max(run.duration for run in runs)
+    end = duration if end is None else end
+    if not 0.0 <= begin < end <= duration:
+        raise UserError(
+            f"--span: expected a span of the run, within 0:{duration:.3f}, got {begin:g}:{end:g}"
+        )
+    count = math.ceil((end - begin) / speed * FRAMES_PER_SECOND)
+    if count > MAX_FRAMES:
+        raise UserError(
+            f"--animation: expected at most {MAX_FRAMES} frames, got {count}; use a shorter --span "
+            "or a higher --speed"
+        )
+    times = [begin + k * speed / FRAMES_PER_SECOND for k in range(count)]
+    height = round(ANIMATION_WIDTH / SIZE[0] * (SIZE[1] - _EMPTY_BAR))
+    frames = [each.resize((ANIMATION_WIDTH, height)) for each in _draw(runs, times)]
+    frame_ms = round(1e3 / FRAMES_PER_SECOND)
+    options: dict[str, Any] = {"save_all": True, "duration": frame_ms, "loop": 0}
+    if out.suffix == ".gif":
+        # One palette, without dithering: what does not move then costs nothing.
+        palette = frames[len(frames) // 2].quantize(128)
+        frames = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames]
+    else:
+        options |= {"quality": 60, "method": 4}
+    _write(frames[0], out, append_images=frames[1:], **options)
+
+
+def _draw(runs: Sequence[RunFolder], times: Sequence[float]) -> Iterator[Image.Image]:
+    """The view at each of these times [s]; `UserError` if nothing here can draw it."""
+    with tempfile.TemporaryDirectory(prefix="snapshot-") as folder:
+        file, shot = Path(folder) / "recording.rrd", Path(folder) / "shot.png"
+        save(runs, file, picture=True)
+        port = free_port()
+        width, height = SIZE
+        window = ("--headless", "--window-size", f"{width}x{height}", "--hide-welcome-screen")
+        rerun = RerunProcess(*window, "--port", str(port), str(file))
+        try:
+            url = f"rerun+http://{HOST}:{port}/proxy"
+            reason = rerun.wait(lambda started: _loaded(url, times[-1]), timeout=_LOAD_TIMEOUT)
+            if reason is not None:
+                raise UserError(_GRAPHICS.format(reason=reason))
+            client = ViewerClient(url)
+            _settle(client, times[0], shot)
+            for at in times:
+                with Image.open(io.BytesIO(_shot(client, at, shot))) as image:
+                    yield image.convert("RGB").crop((0, _EMPTY_BAR, width, height))
+        finally:
+            rerun.stop()
+
+
+def _loaded(url: str, until: float) -> bool:
+    """Whether the viewer at `url` answers and has the recording until then [s]."""
+    try:
+        recordings = ViewerClient(url).get_state().recordings
+    except (ConnectionError, TimeoutError, RuntimeError):
+        time.sleep(0.1)
+        return False
+    ends = [
+        each.end
+        for recording in recordings
+        for each in recording.timelines
+        if each.name == TIMELINE
+    ]
+    return any(end is not None and end >= round(until * 1e9) for end in ends)
+
+
+def _settle(client: ViewerClient, at: float, shot: Path) -> None:
+    """Wait until axes and colours no longer move: as many pictures in a row are the same."""
+    same, before = 0, b""
+    deadline = time.monotonic() + _LOAD_TIMEOUT
+    while same < _SAME and time.monotonic() < deadline:
+        now = _shot(client, at, shot)
+        same = same + 1 if now == before else 0
+        before = now
+
+
+def _shot(client: ViewerClient, at: float, shot: Path) -> bytes:
+    """The view at `at` [s] as PNG; `UserError` if rerun does not answer."""
+    for _ in range(_ATTEMPTS):
+        try:
+            client.set_time(TIMELINE, duration=at, play_state="paused")
+            client.save_screenshot(str(shot))
+            return shot.read_bytes()
+        except TimeoutError:
+            continue  # A busy machine takes longer than rerun's client waits.
+        except (ConnectionError, RuntimeError) as error:
+            reason = str(error).splitlines()[0]
+            raise UserError(f"snapshot: rerun ended or refuses to draw ({reason})") from None
+    raise UserError(f"snapshot: no picture in {_ATTEMPTS} attempts; is the machine busy?")
+
+
+def _write(image: Image.Image, out: Path, **options: Any) -> None:
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        image.save(out, **options)
+    except OSError as error:
+        raise UserError(f"cannot write {out}: {error.strerror or error}") from None
