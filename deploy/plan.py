@@ -1,33 +1,24 @@
 """Which services to start, and who dials whom: from the options to a list, nothing is started.
 
-From the edge to the robot the services are a chain, `edge ← router ← netem ← robot`; each dials the
-nearest one that is there, here or on another machine. The last of those here, unless it is the
-robot, listens for the machine where the chain goes on. The edge itself dials a router.
+What the services are is in `services.toml`; how they are joined is here. From the edge to the robot
+they are a chain, `edge ← router ← netem ← robot`; each dials the nearest one that is there, here or
+on another machine. The last of those here, unless it is the robot, listens for the machine where
+the chain goes on. The edge itself dials a router.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+from deploy.services import Service, starting_order
 from shared.bus.endpoint import Endpoint, parse_endpoint
 from shared.bus.security import DEFAULT_FOLDER, Credentials, robot_role
 from shared.errors import ConfigError
 
 EDGE, ROUTER, NETEM, ROBOT, VIEWER = "edge", "router", "netem", "robot", "viewer"
-SERVICES = (EDGE, NETEM, ROBOT, VIEWER, ROUTER)
 _CHAIN = (EDGE, ROUTER, NETEM, ROBOT)
-# The router first: the edge dials it too.
-_STARTING = (ROUTER, EDGE, NETEM, VIEWER, ROBOT)
-_PORTS = {EDGE: 7460, NETEM: 7461, ROUTER: 7447}
-_MODULES = {
-    EDGE: ("edge_node",),
-    ROUTER: ("deploy.router",),
-    NETEM: ("netem", "replay"),
-    ROBOT: ("robot_node",),
-    VIEWER: ("viewer", "live"),
-}
 
 
 @dataclass(frozen=True)
@@ -45,53 +36,66 @@ class Options:
 
 @dataclass(frozen=True)
 class Step:
-    """A service to start as `python -m` these arguments, without those that all have.
+    """A service to start as `python -m` these arguments, without the flags that it `takes`."""
 
-    The end of a `vital` one is the end of the run.
-    """
-
-    name: str
+    service: Service
     arguments: tuple[str, ...]
-    vital: bool = True
+
+    @property
+    def name(self) -> str:
+        return self.service.name
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Services in the order of starting, their certificates, and what a person should know."""
+    """Services in the order of starting, their certificates, and what a person should know.
+
+    `opens` is where one of them listens for other machines, if one does.
+    """
 
     steps: tuple[Step, ...]
     secure: Path | None
     notes: tuple[str, ...]
+    opens: Endpoint | None = None
 
     def has(self, name: str) -> bool:
         """Whether a service is among them."""
         return any(step.name == name for step in self.steps)
 
 
-def services_of(only: str | None, *, direct: bool) -> tuple[str, ...]:
-    """The services that `--only` names; without it all but a router, and a direct link's shim."""
+def services_of(
+    declared: dict[str, Service], only: str | None, *, direct: bool
+) -> tuple[Service, ...]:
+    """Those that `--only` names; without it those that run by default, but a direct link's shim."""
     if only is None:
-        return (EDGE, ROBOT, VIEWER) if direct else (EDGE, NETEM, ROBOT, VIEWER)
+        return tuple(
+            service
+            for name, service in declared.items()
+            if service.by_default and not (direct and name == NETEM)
+        )
     names = tuple(dict.fromkeys(name.strip() for name in only.split(",")))
     for name in names:
-        if name not in SERVICES:
+        if name not in declared:
             raise ConfigError(
-                f"only: expected some of {', '.join(SERVICES)}, with commas, got {name!r}"
+                f"only: expected some of {', '.join(declared)}, with commas, got {name!r}"
             )
     if VIEWER in names and ROBOT not in names:
         raise ConfigError("only: the viewer shows the robot of this machine; name both or neither")
     if NETEM in names and direct:
         raise ConfigError("network: direct means no shim; leave netem out of --only")
-    return names
+    if not any(name in names for name in _CHAIN):
+        raise ConfigError(f"only: expected at least one of {', '.join(_CHAIN)}, got {only}")
+    return tuple(declared[name] for name in names)
 
 
 def make_plan(
-    options: Options, services: tuple[str, ...], *, view: str, free_port: Callable[[], int]
+    options: Options, services: tuple[Service, ...], *, view: str, free_port: Callable[[], int]
 ) -> Plan:
     """The plan for these services; `view` is `off` for no viewer. `ConfigError`, `LinkError` if
     the endpoints do not fit the services or the certificates.
     """
-    _check_who_dials(options, services)
+    chosen = {service.name: service for service in services}
+    _check_who_dials(options, chosen)
     given = [each for each in (options.edge, options.router, options.listen) if each is not None]
     secure = options.secure
     if secure is None and any(each.startswith(("tls/", "quic/")) for each in given):
@@ -100,13 +104,14 @@ def make_plan(
     for each in given:
         parse_endpoint(each, secured=secured)
 
-    here = [name for name in _CHAIN if name in services]
+    here = [chosen[name] for name in _CHAIN if name in chosen]
     listens = _listening(options, here, secured=secured, free_port=free_port)
     far = options.edge or options.router
     dialled = parse_endpoint(far, secured=secured) if far is not None else None
     notes = [] if dialled is None else _notes_on_dialling(dialled)
     arguments: dict[str, tuple[str, ...]] = {VIEWER: ("--view", view)}
-    for name in here:
+    for service in here:
+        name = service.name
         ends: list[str] = []
         if name in listens:
             ends += ["--listen", str(listens[name])]
@@ -115,15 +120,15 @@ def make_plan(
             ends += ["--connect", str(router.dialled_here)]
         arguments[name] = tuple(ends)
         dialled = listens.get(name, dialled)
-    outermost = here[-1]
-    if outermost in listens:
-        notes.append(_note_on_listening(outermost, listens[outermost]))
+    opens = listens.get(here[-1].name)
+    if opens is not None:
+        notes.append(_note_on_listening(here[-1], opens))
     steps = tuple(
-        Step(name, (*_MODULES[name], *arguments[name]), vital=name != VIEWER)
-        for name in _STARTING
-        if name in services and (name != VIEWER or view != "off")
+        Step(chosen[name], (*chosen[name].command, *arguments.get(name, ())))
+        for name in starting_order(chosen)
+        if name != VIEWER or view != "off"
     )
-    return Plan(steps, secure, tuple(notes))
+    return Plan(steps, secure, tuple(notes), opens)
 
 
 def check_credentials(plan: Plan, *, robot: str) -> None:
@@ -137,7 +142,7 @@ def check_credentials(plan: Plan, *, robot: str) -> None:
             Credentials.load(plan.secure, role, robots=None if name == ROUTER else (robot,))
 
 
-def _check_who_dials(options: Options, services: tuple[str, ...]) -> None:
+def _check_who_dials(options: Options, services: Collection[str]) -> None:
     dials = [name for name in (NETEM, ROBOT) if name in services]
     if options.edge is not None:
         if options.router is not None:
@@ -160,31 +165,36 @@ def _check_who_dials(options: Options, services: tuple[str, ...]) -> None:
 
 
 def _listening(
-    options: Options, here: list[str], *, secured: bool, free_port: Callable[[], int]
+    options: Options, here: list[Service], *, secured: bool, free_port: Callable[[], int]
 ) -> dict[str, Endpoint]:
     """Where each service listens; those between two services of this machine on loopback."""
     protocol = "tls" if secured else "tcp"
-    edge_dials = options.router is not None or ROUTER in here
-    listening = [name for name in here if name != ROBOT and not (name == EDGE and edge_dials)]
+    edge_dials = options.router is not None or any(each.name == ROUTER for each in here)
     listens = {}
-    for name in listening:
-        if name != here[-1]:
+    for service in here:
+        name = service.name
+        if name == ROBOT or (name == EDGE and edge_dials):
+            continue
+        if service is not here[-1]:
             listens[name] = Endpoint(protocol, "127.0.0.1", free_port())
         elif options.listen is not None:
             listens[name] = parse_endpoint(options.listen, secured=secured)
         else:
             # Without certificates, nobody else is let in unless that is asked for.
-            listens[name] = Endpoint(protocol, "0.0.0.0" if secured else "127.0.0.1", _PORTS[name])
-    if options.listen is not None and here[-1] not in listens:
+            host = "0.0.0.0" if secured else "127.0.0.1"
+            listens[name] = Endpoint(protocol, host, service.port)
+    if options.listen is not None and here[-1].name not in listens:
         raise ConfigError(
-            f"listen: expected none, as {here[-1]} dials and nothing here is dialled from elsewhere"
+            f"listen: expected none, as {here[-1].name} dials and nothing here is dialled from "
+            "elsewhere"
         )
     return listens
 
 
-def _note_on_listening(name: str, endpoint: Endpoint) -> str:
+def _note_on_listening(service: Service, endpoint: Endpoint) -> str:
+    name = service.name
     if endpoint.on_loopback:
-        port = endpoint.port or _PORTS[name]
+        port = endpoint.port or service.port
         return (
             f"{name} listens on {endpoint}, for this machine only; for others: "
             f"--listen tls/0.0.0.0:{port} (see docs/real-network.md)"

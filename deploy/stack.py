@@ -3,35 +3,44 @@
 from __future__ import annotations
 
 import asyncio
-import json
+import contextlib
+import dataclasses
+import os
 import signal
-import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deploy.plan import ROBOT, ROUTER, VIEWER, Plan, Step
-from deploy.status import Status, Terminal
-from deploy.supervisor import Service, Supervisor
+from deploy.detach import tell_ready
+from deploy.orders import OrderDesk
+from deploy.outcome import keep_report, record, summarise
+from deploy.plan import ROBOT, VIEWER, Plan, Step
+from deploy.registry import Registry
+from deploy.services import IGNORED, OUTCOME, Service
+from deploy.state import ENDED, READY, STARTING, STOPPING, StackFolder, StackState
+from deploy.status import Status
+from deploy.supervisor import Launch, Supervisor
+from deploy.terminal import Terminal
 from shared.bus.zenoh_bus import ZenohBus
-from shared.cli import EXIT_STANDING
+from shared.cli import EXIT_ERROR, EXIT_STANDING
 from shared.config import RunConfig
-from shared.errors import LinkError
-from shared.report import discrepancy_report, summary, summary_in_words
-from shared.telemetry import read_parquet
+from shared.errors import LinkError, UserError
+from shared.report import summary_in_words
 from shared.wire.channels import LINK_KEY, TICKS_KEY
 
 _STATUS_SECONDS = 0.1
-_INTERRUPTED = 130
-_READY_SECONDS = 60.0
-_PARTS = {"robot": "telemetry.json", "edge": "edge.json", "link": "link.json"}
+EXIT_INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
 class Run:
-    """What is to run, and the folder `out` for its files. `name` of the robot on the link, if it
-    is not that of its kind.
+    """What is to run, and the folder `out` for its files.
+
+    `name` of the robot on the link, if it is not that of its kind. `ready_fd`: in the background,
+    telling there when it is ready.
     """
 
     config: RunConfig
@@ -39,6 +48,7 @@ class Run:
     out: Path
     telemetry: str
     name: str | None
+    ready_fd: int | None = None
 
 
 class Stack:
@@ -47,35 +57,73 @@ class Stack:
     def __init__(self, run: Run) -> None:
         self._run = run
         self._out = run.out
+        self._folder = StackFolder(run.out)
+        self._status = Status(duration=run.config.duration, walks=run.config.task == "walk")
         self._terminal = Terminal()
-        self._supervisor = Supervisor(run.out, self._terminal.say)
-        self._status = Status(duration=run.config.duration)
+        self._supervisor = Supervisor(
+            run.out, self._say, changed=self._publish, before_restart=self._keep
+        )
         self._watched = run.plan.has(VIEWER)
+        self._restarted: list[str] = []
         self._stop = asyncio.Event()
         # Without a robot here nothing comes to an end by itself: to be stopped is no failure.
-        self._stopped_code = _INTERRUPTED if run.plan.has(ROBOT) else EXIT_STANDING
+        self._stopped_code = EXIT_INTERRUPTED if run.plan.has(ROBOT) else EXIT_STANDING
+        self._state = StackState(
+            pid=os.getpid(),
+            robot=run.name or run.config.robot.name,
+            named=tuple(step.name for step in run.plan.steps),
+            state=STARTING,
+            since=time.time(),
+        )
 
     async def run(self) -> int:
         """Until the robot has finished, a service has ended, or a signal; the exit code."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, self._stop.set)
+        with self._claimed():
+            for line in (f"run folder: {self._out}", *self._run.plan.notes):
+                self._terminal.tell(line)
+            hub = self._open_hub()
+            try:
+                async with OrderDesk(self._folder, self._supervisor.restart):
+                    code = await self._play()
+            finally:
+                self._terminal.clear()
+                self._put(STOPPING)
+                await self._supervisor.stop()
+                hub.close()
+            return self._finish(code)
+
+    @contextlib.contextmanager
+    def _claimed(self) -> Iterator[None]:
+        """The stack's folder is ours, and says how we ended; in the background, also where."""
+        with self._folder.claim(), self._folder.log.open("a", encoding="utf-8") as log:
+            self._terminal = Terminal(copy=log)
+            self._put(STARTING)
+            ended = {"outcome": "it was killed by an error of its own", "exit_code": EXIT_ERROR}
+            try:
+                if self._run.ready_fd is not None:
+                    Registry().add(self._out, robot=self._state.robot, services=self._state.named)
+                yield
+                ended = {}
+            except UserError as error:
+                self._terminal.note(f"error: {error}")
+                ended = {"outcome": str(error), "exit_code": EXIT_ERROR}
+                raise
+            finally:
+                self._put(ENDED, **ended)
+
+    def _open_hub(self) -> ZenohBus:
         hub = ZenohBus(listen=[self._run.telemetry], mode="router")
         kind = self._run.config.robot.name
         hub.subscribe(TICKS_KEY.format(robot=kind), self._status.take_ticks)
         hub.subscribe(LINK_KEY, self._status.take_link)
-        print(f"run folder: {self._out}", *self._run.plan.notes, sep="\n", flush=True)
-        try:
-            code = await self._play()
-        finally:
-            self._terminal.clear()
-            await self._supervisor.stop()
-            hub.close()
-        return self._finish(code)
+        return hub
 
     async def _play(self) -> int:
         for step in self._run.plan.steps:
-            starting = asyncio.create_task(self._supervisor.start(self._service(step)))
+            starting = asyncio.create_task(self._supervisor.start(self._launch(step)))
             stopping = asyncio.create_task(self._stop.wait())
             await asyncio.wait({starting, stopping}, return_when=asyncio.FIRST_COMPLETED)
             stopping.cancel()
@@ -85,26 +133,39 @@ class Stack:
             try:
                 await starting
             except LinkError as error:
-                if step.vital:
+                if step.service.end != IGNORED:
                     raise
-                self._terminal.say(step.name, f"going on without a live view: {error}")
+                self._say(step.name, f"going on without it: {error}")
                 self._watched = False
+        self._put(READY)
+        self._let_go()
         return await self._watch()
+
+    def _let_go(self) -> None:
+        """In the background, whoever has started us need not wait any longer."""
+        if self._run.ready_fd is None:
+            if not self._run.plan.has(ROBOT):
+                self._terminal.say("up", "started; Ctrl-C ends it")
+            return
+        self._terminal.say("up", "ready; ./deploy/ps, logs and down are for what is to come")
+        self._terminal.leave()
+        with self._folder.log.open("ab") as errors:
+            tell_ready(self._run.ready_fd, errors.fileno())
 
     async def _watch(self) -> int:
         ending = asyncio.create_task(self._supervisor.wait())
-        if not self._run.plan.has(ROBOT):
-            self._terminal.say("up", "started; Ctrl-C ends it")
         while not ending.done():
             if self._stop.is_set():
                 self._terminal.say("up", "stopping")
                 ending.cancel()
                 return self._stopped_code
+            for event in self._status.take_events():
+                self._terminal.say(event.name, event.text)
             if self._run.plan.has(ROBOT):
-                self._terminal.show(self._status.line())
+                self._terminal.show(self._status.line(self._terminal.columns))
             await asyncio.wait({ending}, timeout=_STATUS_SECONDS)
         service, code = ending.result()
-        if service.name != ROBOT:
+        if service.end != OUTCOME:
             self._terminal.clear()
             before = " before the robot" if self._run.plan.has(ROBOT) else ""
             raise LinkError(
@@ -123,59 +184,62 @@ class Stack:
         while self._supervisor.running(VIEWER) and not self._stop.is_set():
             await asyncio.sleep(_STATUS_SECONDS)
 
-    def _service(self, step: Step) -> Service:
+    def _launch(self, step: Step) -> Launch:
+        run, secure = self._run, self._run.plan.secure
+        values = {
+            "config": self._out / "config.toml",
+            "telemetry": run.telemetry,
+            "out": self._out,
+            "name": run.name,
+            "secure": secure,
+        }
         command = [sys.executable, "-m", *step.arguments]
-        if step.name != ROUTER:
-            command += ["--config", str(self._out / "config.toml")]
-            command += ["--telemetry", self._run.telemetry, "--out", str(self._out)]
-            if step.name != VIEWER and self._run.name is not None:
-                command += ["--name", self._run.name]
-        if step.name != VIEWER and self._run.plan.secure is not None:
-            command += ["--secure", str(self._run.plan.secure)]
-        ready = _READY_SECONDS + self._run.config.loop.connect_timeout
-        return Service(step.name, tuple(command), ready_seconds=ready, vital=step.vital)
+        for flag in step.service.takes:
+            if values[flag] is not None:
+                command += [f"--{flag}", str(values[flag])]
+        ready = step.service.ready_seconds + run.config.loop.connect_timeout
+        return Launch(step.service, tuple(command), ready_seconds=ready)
+
+    def _say(self, name: str, line: str) -> None:
+        self._terminal.say(name, line)
+
+    def _keep(self, service: Service) -> None:
+        """What a service has left behind, before it is started again."""
+        keep_report(self._out, service.report)
+        self._restarted.append(service.name)
+
+    def _publish(self) -> None:
+        self._put(self._state.state)
+
+    def _put(self, state: str, **changes: Any) -> None:
+        since = self._state.since if state == self._state.state else time.time()
+        self._state = dataclasses.replace(
+            self._state,
+            **{"state": state, "since": since, **changes},
+            services=tuple(self._supervisor.states()),
+        )
+        self._folder.write(self._state)
 
     def _finish(self, code: int) -> int:
-        parts = {name: self._part(file) for name, file in _PARTS.items()}
-        robot = parts["robot"]
-        if robot is None:
-            print(f"files: {self._out}", flush=True)
-            return code
-        result = summary(
-            self._run.config,
-            robot=robot,
-            edge=parts["edge"],
-            link=parts["link"],
-            discrepancy=self._discrepancy(),
-        )
-        text = json.dumps(result, indent=2)
-        (self._out / "summary.json").write_text(text + "\n", encoding="utf-8")
-        for file in _PARTS.values():
-            (self._out / file).unlink(missing_ok=True)
-        if not (self._out / "recording.rrd").exists():
-            self._record()
-        print(summary_in_words(result))
-        print(f"  files: {self._out}", flush=True)
+        """Sum up; the exit code."""
+        result = summarise(self._out, self._run.config)
+        outcome = "stopped"
+        if result is not None:
+            # A view that was started again has recorded its last life only.
+            if VIEWER in self._restarted or not (self._out / "recording.rrd").exists():
+                record(self._out, lambda line: self._say(VIEWER, line))
+            told = summary_in_words(result)
+            outcome = told.splitlines()[0]
+            self._terminal.tell("\n".join([told, *self._happened()]))
+        self._terminal.tell(f"{'  ' if result else ''}files: {self._out}")
+        self._put(STOPPING, outcome=outcome, exit_code=code)
         return code
 
-    def _part(self, file: str) -> dict[str, Any] | None:
-        try:
-            part: dict[str, Any] = json.loads((self._out / file).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        return part
-
-    def _discrepancy(self) -> dict[str, Any] | None:
-        """The report of the active set; of the ticks whose state the edge has solved."""
-        files = [self._out / "telemetry.parquet", self._out / "edge.parquet"]
-        if not all(file.exists() for file in files):
-            return None
-        (schema, rows), (_, solve_rows) = (read_parquet(file) for file in files)
-        return discrepancy_report(schema, rows, solve_rows)
-
-    def _record(self) -> None:
-        """The recording of a run nobody watched, made from its files."""
-        command = [sys.executable, "-m", "viewer", "record", str(self._out)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        for line in (done.stdout + done.stderr).splitlines():
-            self._terminal.say("viewer", line)
+    def _happened(self) -> list[str]:
+        """What the summary, made of the services' files, does not know."""
+        again = [
+            f"{name} started again {self._restarted.count(name)} ×"
+            for name in dict.fromkeys(self._restarted)
+        ]
+        told = "; ".join([*filter(None, [self._status.events.in_words()]), *again])
+        return [f"  {told}"] if told else []

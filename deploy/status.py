@@ -1,96 +1,106 @@
-"""What a person sees in the terminal: the services' lines and one live status line."""
+"""The state of a run in one line, as wide as the terminal: with the link's delay over time."""
 
 from __future__ import annotations
 
-import shutil
-import sys
-import time
+import math
+from collections import deque
+from collections.abc import Iterable
 
 import numpy as np
 
+from deploy.events import OUTAGE_NS, Event, Events
 from shared.bus.base import Delivery
 from shared.report import SOURCES
 from shared.telemetry import Schema, decode_rows
+from shared.wbc.contacts import ContactMode
 
-_COLOURS = {
-    "edge": "\033[34m",
-    "netem": "\033[33m",
-    "robot": "\033[32m",
-    "viewer": "\033[35m",
-    "router": "\033[36m",
+_BARS = "▁▂▃▄▅▆▇█"
+# Of the lowest and the highest bar, by powers of ten in between [ms].
+_LEAST_MS, _MOST_MS = 1.0, 1000.0
+_LONGEST, _SHORTEST = 40, 8
+_FEET = {
+    ContactMode.DOUBLE_SUPPORT: "both feet",
+    ContactMode.LEFT_SUPPORT: "left foot",
+    ContactMode.RIGHT_SUPPORT: "right foot",
 }
-_RESET, _CLEAR_LINE = "\033[0m", "\r\033[2K"
-_PLAIN_PERIOD_SECONDS = 1.0
-
-
-class Terminal:
-    """Prints services' lines with their name; keeps the status line last."""
-
-    def __init__(self) -> None:
-        self._live = sys.stdout.isatty()
-        self._status = ""
-        self._last_plain = 0.0
-
-    def say(self, name: str, line: str) -> None:
-        """One line of a service."""
-        if self._live:
-            colour = _COLOURS.get(name, "")
-            print(f"{_CLEAR_LINE}{colour}{name:>6} │{_RESET} {line}\n{self._status}", end="")
-            sys.stdout.flush()
-        else:
-            print(f"{name:>6} | {line}", flush=True)
-
-    def show(self, status: str) -> None:
-        """The status line: in place on a terminal, once a second elsewhere."""
-        if self._live:
-            self._status = status[: shutil.get_terminal_size().columns - 1]
-            print(f"{_CLEAR_LINE}{self._status}", end="", flush=True)
-        elif time.monotonic() - self._last_plain >= _PLAIN_PERIOD_SECONDS:
-            self._last_plain = time.monotonic()
-            print(f"status | {status}", flush=True)
-
-    def clear(self) -> None:
-        """Remove the status line."""
-        if self._live and self._status:
-            print(_CLEAR_LINE, end="", flush=True)
-        self._status = ""
 
 
 class Status:
-    """The latest of what the services publish, as one line."""
+    """The latest of what the services publish, and the events in it."""
 
-    def __init__(self, *, duration: float) -> None:
+    def __init__(self, *, duration: float, walks: bool = False) -> None:
+        self.events = Events()
         self._duration = duration
+        self._walks = walks
         self._tick: tuple[Schema, np.ndarray] | None = None
-        self._delay_ms = ["-", "-"]
+        self._delay_ms: list[float | None] = [None, None]
+        self._lost = [False, False]
+        self._delays_ms: deque[float] = deque(maxlen=_LONGEST)
 
     def take_ticks(self, delivery: Delivery) -> None:
         """Block of the robot's rows."""
-        self._tick = decode_rows(delivery.data)
+        schema, rows = self._tick = decode_rows(delivery.data)
+        self.events.take_ticks(schema, rows)
+        self._delays_ms.append(self._round_trip_ms())
 
     def take_link(self, delivery: Delivery) -> None:
         """Block of the shim's rows."""
         schema, rows = decode_rows(delivery.data)
+        self.events.take_link(schema, rows)
         directions, achieved = schema.column(rows, "direction"), schema.column(rows, "achieved_ns")
         for direction in (0, 1):
             way = achieved[directions == direction]
             if way.size:
-                self._delay_ms[direction] = "lost" if way[-1] < 0 else f"{way[-1] * 1e-6:.1f}"
+                self._lost[direction] = bool(way[-1] < 0)
+                if way[-1] >= 0:
+                    self._delay_ms[direction] = way[-1] * 1e-6
 
-    def line(self) -> str:
-        """One line; says that it waits until the robot has begun."""
+    def take_events(self) -> list[Event]:
+        """Events since the last call."""
+        return self.events.take()
+
+    def line(self, columns: int = 160) -> str:
+        """One line of at most so many columns; says that it waits until the robot has begun."""
         if self._tick is None:
-            return "waiting for the robot"
+            return "waiting for the robot"[:columns]
         schema, rows = self._tick
         last = {name: rows[-1, where][0] for name, where in schema.slices.items()}
         time_ns = last["time_ns"]
         if time_ns < 0:
-            return "robot waits for its first projector"
+            return "robot waits for its first projector"[:columns]
         age = f"{last['projector_age_ns'] * 1e-6:.1f}" if last["projector_age_ns"] >= 0 else "-"
         pushed = " push!" if np.any(schema.column(rows, "push_n")) else ""
-        return (
-            f"t {time_ns * 1e-9:5.2f}/{self._duration:g} s | {SOURCES[int(last['source'])]:<9}"
-            f" | link up {self._delay_ms[0]} down {self._delay_ms[1]} ms"
-            f" | projector age {age} ms | CoM error {100 * last['com_error_m']:.1f} cm"
-            f" | overruns {int(last['overruns'])}{pushed}"
+        feet = f" | {_FEET[ContactMode(int(last['mode']))]:<10}" if self._walks else ""
+        before = f"t {time_ns * 1e-9:5.2f}/{self._duration:g} s | {SOURCES[int(last['source'])]:<9}"
+        after = (
+            f"{pushed}{feet} | projector age {age} ms"
+            f" | CoM error {100 * last['com_error_m']:.1f} cm | overruns {int(last['overruns'])}"
         )
+        link = f" | link up {self._way(0)} down {self._way(1)} ms"
+        room = min(columns - len(before) - len(link) - len(after) - 1, _LONGEST)
+        if self._delay_ms[0] is not None and room >= _SHORTEST:
+            drawn = sparkline(list(self._delays_ms)[-room:])
+            link += f" {drawn:<{min(room, _LONGEST)}}"
+        return (before + link + after)[:columns]
+
+    def _way(self, direction: int) -> str:
+        if self._lost[direction]:
+            return "lost"
+        delay_ms = self._delay_ms[direction]
+        return "-" if delay_ms is None else f"{delay_ms:.1f}"
+
+    def _round_trip_ms(self) -> float:
+        """There and back, or as long as nothing has come through at all."""
+        known = sum(delay for delay in self._delay_ms if delay is not None)
+        silence_ns = self.events.silence_ns
+        return max(known, silence_ns * 1e-6) if silence_ns >= OUTAGE_NS else known
+
+
+def sparkline(delays_ms: Iterable[float]) -> str:
+    """A bar per delay, from 1 ms to 1 s by powers of ten; so that runs can be compared."""
+    decades = math.log10(_MOST_MS / _LEAST_MS)
+    bars = ""
+    for delay in delays_ms:
+        part = math.log10(max(delay, _LEAST_MS) / _LEAST_MS) / decades
+        bars += _BARS[min(int(part * len(_BARS)), len(_BARS) - 1)]
+    return bars

@@ -1,6 +1,6 @@
-"""Child processes as one unit: started in order of readiness, ended together.
+"""Child processes as one unit: started in order of readiness, started again, ended together.
 
-A child is ready when it prints a line that begins with READY. Its output goes to a log file and,
+A child is ready when it prints the line that its service names. Its output goes to a log file and,
 with its name in front, to the terminal. Children get a termination signal if the supervisor dies.
 """
 
@@ -12,47 +12,136 @@ import ctypes
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from shared.errors import LinkError
+from deploy.services import IGNORED, OUTCOME, Service
+from deploy.state import ENDED, READY, STARTING, STOPPING, ServiceState
+from shared.errors import ConfigError, LinkError
 
 _PR_SET_PDEATHSIG = 1
-_STOP_SECONDS = 10.0
 
 
 @dataclass(frozen=True)
-class Service:
-    """A process to run. `vital`: its end is the end of the run."""
+class Launch:
+    """A service, the command line that runs it, and how long it may take to be ready [s]."""
 
-    name: str
+    service: Service
     command: tuple[str, ...]
-    ready_seconds: float = 30.0
-    vital: bool = True
+    ready_seconds: float
 
 
 @dataclass
 class _Child:
-    service: Service
-    process: asyncio.subprocess.Process
-    reader: asyncio.Task[None]
-    ready: asyncio.Event
+    launch: Launch
+    process: asyncio.subprocess.Process = field(init=False)
+    reader: asyncio.Task[None] = field(init=False)
+    watch: asyncio.Task[None] | None = None
+    ready: asyncio.Event = field(default_factory=asyncio.Event)
+    state: str = STARTING
+    since: float = 0.0
+    restarts: int = 0
     last_line: str = ""
 
+    @property
+    def name(self) -> str:
+        return self.launch.service.name
 
-@dataclass
+
 class Supervisor:
-    """Runs services; `say(name, line)` shows their output. Logs go to `folder`/NAME.log."""
+    """Runs services; `say(name, line)` shows their output. Logs go to `folder`/NAME.log.
 
-    folder: Path
-    say: Callable[[str, str], None]
-    _children: list[_Child] = field(default_factory=list)
+    `changed()` is called after every change of a state, `before_restart(service)` between the end
+    of a process and the start of the next one.
+    """
 
-    async def start(self, service: Service) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        say: Callable[[str, str], None],
+        *,
+        changed: Callable[[], None],
+        before_restart: Callable[[Service], None],
+    ) -> None:
+        self._folder = folder
+        self._say = say
+        self._changed = changed
+        self._before_restart = before_restart
+        self._children: dict[str, _Child] = {}
+        self._ended: asyncio.Queue[tuple[Service, int]] = asyncio.Queue()
+
+    async def start(self, launch: Launch) -> None:
         """Start a service and wait until it is ready; `LinkError` with its last line if not."""
-        process = await asyncio.create_subprocess_exec(
-            *service.command,
+        child = _Child(launch)
+        await self._spawn(child)
+        child.watch = asyncio.create_task(self._watch(child))
+
+    async def restart(self, name: str) -> None:
+        """End a service, start it again and wait until it is ready.
+
+        `ConfigError` if it is not running, or if its end is the end of the run; `LinkError` if it
+        does not come back, which is then its end.
+        """
+        child = self._children.get(name)
+        if child is None or child.state != READY or child.watch is None:
+            ready = [each.name for each in self._children.values() if each.state == READY]
+            raise ConfigError(f"restart: expected one of {', '.join(ready)}, got {name}")
+        if child.launch.service.end == OUTCOME:
+            raise ConfigError(f"restart: the run ends with {name}: ./deploy/down, then up again")
+        child.watch.cancel()
+        back: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        child.watch = asyncio.create_task(self._restart(child, back))
+        await back
+
+    async def wait(self) -> tuple[Service, int]:
+        """Wait for the first end that matters; which service, and its exit code."""
+        ends = [await self._ended.get()]
+        while not self._ended.empty():
+            ends.append(self._ended.get_nowait())
+        # What ended beside the one whose end is the outcome does not matter any more.
+        return next((end for end in ends if end[0].end == OUTCOME), ends[0])
+
+    def running(self, name: str) -> bool:
+        """Whether a service has been started and has not ended."""
+        child = self._children.get(name)
+        return child is not None and child.process.returncode is None
+
+    def states(self) -> list[ServiceState]:
+        """Of every service that has been started."""
+        return [
+            ServiceState(
+                name=child.name,
+                pid=child.process.pid,
+                state=child.state,
+                since=child.since,
+                restarts=child.restarts,
+                exit_code=child.process.returncode,
+            )
+            for child in self._children.values()
+        ]
+
+    async def stop(self) -> None:
+        """End all services, last started first; kill those that take too long."""
+        children = list(reversed(self._children.values()))
+        for child in children:
+            if child.watch is not None:
+                child.watch.cancel()
+        # A restart that is cancelled may still have begun a process.
+        await asyncio.gather(
+            *(child.watch for child in children if child.watch is not None), return_exceptions=True
+        )
+        for child in children:
+            _signal_group(child.process, signal.SIGTERM)
+        for child in children:
+            await self._end(child)
+            self._put(child, ENDED)
+
+    async def _spawn(self, child: _Child) -> None:
+        child.ready.clear()
+        child.process = await asyncio.create_subprocess_exec(
+            *child.launch.command,
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
@@ -60,75 +149,112 @@ class Supervisor:
             preexec_fn=_die_with_parent if sys.platform == "linux" else None,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
-        ready = asyncio.Event()
-        child = _Child(service, process, asyncio.create_task(asyncio.sleep(0)), ready)
         child.reader = asyncio.create_task(self._read(child))
-        self._children.append(child)
+        self._children[child.name] = child
+        self._put(child, STARTING)
+        ready = asyncio.create_task(child.ready.wait())
         done, _ = await asyncio.wait(
-            [asyncio.create_task(ready.wait()), child.reader],
-            timeout=service.ready_seconds,
+            {ready, child.reader},
+            timeout=child.launch.ready_seconds,
             return_when=asyncio.FIRST_COMPLETED,
         )
-        if ready.is_set():
+        ready.cancel()
+        if child.ready.is_set():
+            self._put(child, READY)
             return
         if done:
-            code = await process.wait()
+            code = await child.process.wait()
+            self._put(child, ENDED)
             reason = child.last_line.removeprefix("error: ")
-            raise LinkError(f"{service.name} did not start (exit {code}): {reason}")
+            raise LinkError(f"{child.name} did not start (exit {code}): {reason}")
+        _signal_group(child.process, signal.SIGTERM)
         raise LinkError(
-            f"{service.name} was not ready within {service.ready_seconds:g} s; its log is "
-            f"{self.folder / service.name}.log"
+            f"{child.name} was not ready within {child.launch.ready_seconds:g} s; its log is "
+            f"{self._folder / child.name}.log"
         )
 
-    async def wait(self) -> tuple[Service, int]:
-        """Wait for the first vital service to end; which one, and its exit code."""
-        waiting = {
-            asyncio.create_task(child.process.wait()): child.service
-            for child in self._children
-            if child.service.vital
-        }
-        done, pending = await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
-        for task in pending:
-            task.cancel()
-        # The robot ends by itself: if several ended at once, the last started is the one meant.
-        first = next(reversed([task for task in waiting if task in done]))
-        return waiting[first], first.result()
-
-    def running(self, name: str) -> bool:
-        """Whether a service has been started and has not ended."""
-        return any(
-            child.service.name == name and child.process.returncode is None
-            for child in self._children
-        )
-
-    async def stop(self) -> None:
-        """End all services, last started first; kill what has not ended after ten seconds."""
-        for child in reversed(self._children):
-            _signal_group(child.process, signal.SIGTERM)
-        for child in self._children:
+    async def _watch(self, child: _Child) -> None:
+        """Until the service ends for good; starts it again as often as it is to be."""
+        service = child.launch.service
+        failures = 0
+        while True:
+            code = await child.process.wait()
+            if code == 0 or failures == service.restarts_at_most:
+                break
+            failures += 1
+            self._say(
+                child.name,
+                f"ended (exit {code}): started again, {failures} of {service.restarts_at_most}",
+            )
             try:
-                await asyncio.wait_for(child.process.wait(), _STOP_SECONDS)
-            except asyncio.TimeoutError:
-                self.say(child.service.name, f"did not stop within {_STOP_SECONDS:g} s: killed")
-            # What a service left behind in its process group goes with it.
-            _signal_group(child.process, signal.SIGKILL, even_if_ended=True)
-            await child.process.wait()
-            await child.reader
-        self._children.clear()
+                await self._again(child)
+            except LinkError as error:
+                self._say(child.name, str(error))
+        await self._finish(child)
+
+    async def _restart(self, child: _Child, back: asyncio.Future[None]) -> None:
+        try:
+            self._put(child, STOPPING)
+            _signal_group(child.process, signal.SIGTERM)
+            await self._again(child)
+        except LinkError as error:
+            if not back.done():
+                back.set_exception(error)
+            await self._finish(child)
+            return
+        except asyncio.CancelledError:
+            back.cancel()
+            raise
+        # Whoever asked may have left.
+        if not back.done():
+            back.set_result(None)
+        await self._watch(child)
+
+    async def _again(self, child: _Child) -> None:
+        await self._end(child)
+        self._before_restart(child.launch.service)
+        child.restarts += 1
+        await self._spawn(child)
+        self._say(child.name, f"ready again (pid {child.process.pid})")
+
+    async def _finish(self, child: _Child) -> None:
+        await self._end(child)
+        self._put(child, ENDED)
+        service = child.launch.service
+        if service.end != IGNORED:
+            assert child.process.returncode is not None
+            self._ended.put_nowait((service, child.process.returncode))
+
+    async def _end(self, child: _Child) -> None:
+        """Until a process that was told to end has ended, and all that it left behind."""
+        seconds = child.launch.service.stop_seconds
+        try:
+            await asyncio.wait_for(child.process.wait(), seconds)
+        except asyncio.TimeoutError:
+            self._say(child.name, f"did not stop within {seconds:g} s: killed")
+        # What a service left behind in its process group goes with it.
+        _signal_group(child.process, signal.SIGKILL, even_if_ended=True)
+        await child.process.wait()
+        # Not awaited itself: whoever is cancelled here would cancel it.
+        await asyncio.wait({child.reader})
+
+    def _put(self, child: _Child, state: str) -> None:
+        child.state, child.since = state, time.time()
+        self._changed()
 
     async def _read(self, child: _Child) -> None:
         assert child.process.stdout is not None
-        name = child.service.name
-        with (self.folder / f"{name}.log").open("w", encoding="utf-8") as log:
+        name, ready = child.name, child.launch.service.ready
+        with (self._folder / f"{name}.log").open("a", encoding="utf-8") as log:
             async for raw in child.process.stdout:
                 line = raw.decode(errors="replace").rstrip()
                 log.write(line + "\n")
                 log.flush()
-                if line.startswith("READY"):
+                if line.startswith(ready):
                     child.ready.set()
                 if line:
                     child.last_line = line
-                    self.say(name, line)
+                    self._say(name, line)
 
 
 def _signal_group(

@@ -1,8 +1,8 @@
 """Start the stack, or the part of it that --only names, and wait for its end.
 
 Without --only everything runs on this machine: edge, netem, robot and viewer. Exit code 0: the
-robot finished standing, or where no robot runs, a signal ended the rest. 3: the robot fell. 130: a
-signal ended its run. Anything else: an error that says what to do.
+robot finished standing, or where no robot runs, a signal ended the rest; with -d, everything is
+ready. 3: the robot fell. 130: a signal ended its run. Anything else: an error that says what to do.
 """
 
 from __future__ import annotations
@@ -11,30 +11,34 @@ from __future__ import annotations
 import shared.single_thread  # noqa: F401
 
 # isort: on
+import argparse
 import asyncio
 import dataclasses
+import errno
 import os
 import socket
 import sys
 import time
 from pathlib import Path
 
+from deploy.detach import start_in_background
 from deploy.plan import (
     NETEM,
     ROBOT,
-    SERVICES,
     VIEWER,
     Options,
+    Plan,
     check_credentials,
     make_plan,
     services_of,
 )
+from deploy.services import load_services
 from deploy.stack import Run, Stack
 from netem.networks import load_network
 from shared.cli import Parser, add_run_arguments, add_view_argument, config_from, run
 from shared.config import RunConfig
 from shared.config_file import dump_config
-from shared.errors import ConfigError
+from shared.errors import ConfigError, LinkError
 from shared.motion.plan import make_motion
 from shared.report import versions
 from shared.robots import load_robot
@@ -42,9 +46,13 @@ from shared.service import add_identity_arguments
 
 
 def main() -> int:
-    arguments = _parser().parse_args()
+    declared = load_services()
+    arguments = _parser(", ".join(declared)).parse_args()
+    if arguments.detach and arguments.ready_fd is None:
+        return start_in_background(sys.argv[1:])
     config = config_from(arguments)
-    services = services_of(arguments.only, direct=config.link.network == "direct")
+    chosen = services_of(declared, arguments.only, direct=config.link.network == "direct")
+    services = tuple(service.name for service in chosen)
     if NETEM not in services:
         if arguments.network not in (None, "direct"):
             raise ConfigError(f"network: only netem makes {arguments.network}; add it to --only")
@@ -62,31 +70,45 @@ def main() -> int:
     )
     view = _resolve_view(config.view) if VIEWER in services else "off"
     telemetry, *ports = _free_ports(3)
-    plan = make_plan(options, services, view=view, free_port=iter(ports).__next__)
+    plan = make_plan(options, chosen, view=view, free_port=iter(ports).__next__)
     check_credentials(plan, robot=arguments.name or config.robot.name)
+    _check_port(plan)
     out = _run_folder(arguments.out, config, services)
     text = dump_config(config, versions=versions())
     (out / "config.toml").write_text(text, encoding="utf-8")
     if VIEWER in services and view == "off" and config.view == "auto":
         print("no screen: the run is recorded, not shown (--view web for a browser)", flush=True)
     hub = f"tcp/127.0.0.1:{telemetry}"
-    return asyncio.run(Stack(Run(config, plan, out, hub, arguments.name)).run())
+    described = Run(config, plan, out, hub, arguments.name, arguments.ready_fd)
+    return asyncio.run(_play(described))
 
 
-def _parser() -> Parser:
+async def _play(described: Run) -> int:
+    return await Stack(described).run()
+
+
+def _parser(services: str) -> Parser:
     parser = Parser(prog="deploy/up", description=__doc__)
     add_run_arguments(parser)
     add_view_argument(parser)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder of this run (default runs/<time>-…)"
     )
+    parser.add_argument(
+        "-d",
+        "--detach",
+        action="store_true",
+        help="return when everything is ready; see ./deploy/ps, logs, restart and down",
+    )
+    # Where the process in the background says that it is ready.
+    parser.add_argument("--ready-fd", type=int, help=argparse.SUPPRESS)
     group = parser.add_argument_group(
         "several machines (docs/real-network.md); ENDPOINT: tls/HOST:PORT, or tcp, quic"
     )
     group.add_argument(
         "--only",
         metavar="SERVICE,…",
-        help=f"start these of {', '.join(SERVICES)} (default: all but the router)",
+        help=f"start these of {services} (default: all but the router)",
     )
     group.add_argument(
         "--edge",
@@ -121,6 +143,26 @@ def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) 
     except OSError as error:
         raise ConfigError(f"out: cannot create {out}: {error.strerror}") from None
     return out
+
+
+def _check_port(plan: Plan) -> None:
+    """What listens for other machines can do so; `LinkError` before anything starts if not."""
+    endpoint = plan.opens
+    if endpoint is None or endpoint.port == 0:
+        return
+    datagrams = endpoint.protocol in ("udp", "quic")
+    family = socket.AF_INET6 if ":" in endpoint.host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM if datagrams else socket.SOCK_STREAM) as probe:
+        # As Zenoh does: a connection that has just been closed is in nobody's way.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, not datagrams)
+        try:
+            probe.bind((endpoint.host, endpoint.port))
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                raise LinkError(
+                    f"listen: port {endpoint.port} is in use, by another stack (./deploy/ps) or "
+                    f"another program; end it, or --listen {endpoint.protocol}/{endpoint.host}:PORT"
+                ) from None
 
 
 def _resolve_view(view: str) -> str:

@@ -1,0 +1,123 @@
+"""What a run came to, from the files its services left: the summary and the recording.
+
+A service that was started again has left files of each of its lives, the earlier ones numbered;
+they count together. A life that was killed leaves none.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shared.config import RunConfig
+from shared.report import discrepancy_report, edge_report, link_report, summary
+from shared.telemetry import read_parquet
+
+_ROBOT, _EDGE, _LINK = "telemetry", "edge", "link"
+
+
+def keep_report(run: Path, stem: str) -> None:
+    """Number a life's files, so that the next one does not replace them."""
+    if not stem or not (run / f"{stem}.json").exists():
+        return
+    number = 1 + len(list(run.glob(f"{stem}.*.json")))
+    for kind in ("json", "parquet"):
+        (run / f"{stem}.{kind}").replace(run / f"{stem}.{number}.{kind}")
+
+
+def summarise(run: Path, config: RunConfig) -> dict[str, Any] | None:
+    """The summary, also written to `summary.json` in place of the parts; None without a robot's."""
+    robot = _report(run / f"{_ROBOT}.json")
+    if robot is None:
+        return None
+    result = summary(
+        config,
+        robot=robot,
+        edge=_whole(run, _EDGE, _edge_report),
+        link=_whole(run, _LINK, _link_report),
+        discrepancy=_discrepancy(run),
+    )
+    text = json.dumps(result, indent=2)
+    (run / "summary.json").write_text(text + "\n", encoding="utf-8")
+    for stem in (_ROBOT, _EDGE, _LINK):
+        for file in _lives(run, stem, "json"):
+            file.unlink()
+    return result
+
+
+def record(run: Path, say: Callable[[str], None]) -> None:
+    """The recording of a run that nobody watched throughout, made from its files."""
+    command = [sys.executable, "-m", "viewer", "record", str(run)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    for line in (done.stdout + done.stderr).splitlines():
+        say(line)
+
+
+def _lives(run: Path, stem: str, kind: str) -> list[Path]:
+    """A service's files of one kind, the earliest life first."""
+    last = run / f"{stem}.{kind}"
+    numbered = sorted(run.glob(f"{stem}.*.{kind}"), key=lambda file: int(file.suffixes[-2][1:]))
+    return [*numbered, *([last] if last.exists() else [])]
+
+
+def _whole(
+    run: Path, stem: str, again: Callable[[np.ndarray, list[dict[str, Any]]], dict[str, Any]]
+) -> dict[str, Any] | None:
+    """The report of all lives together, made `again` if there were several."""
+    found = [_report(file) for file in _lives(run, stem, "json")]
+    reports = [report for report in found if report is not None]
+    if len(reports) > 1:
+        return again(_rows(run, stem), reports)
+    return reports[0] if reports else None
+
+
+def _rows(run: Path, stem: str) -> np.ndarray:
+    return np.concatenate([read_parquet(file)[1] for file in _lives(run, stem, "parquet")])
+
+
+def _edge_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, Any]:
+    up = [report["link"]["uplink"] for report in reports]
+    return edge_report(
+        rows,
+        statuses=_added(report["edge_solves"] for report in reports),
+        sent=sum(report["link"]["downlink"]["sent"] for report in reports),
+        received=sum(way["received"] for way in up),
+        lost=sum(way["lost"] for way in up),
+        refused=_added(way["refused"] for way in up),
+    )
+
+
+def _link_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, Any]:
+    passes = sum(report["profile_passes"] for report in reports)
+    return link_report(rows, profile=reports[-1]["profile"], passes=passes)
+
+
+def _added(counts: Iterable[dict[str, int]]) -> dict[str, int]:
+    total: Counter[str] = Counter()
+    for each in counts:
+        total.update(each)
+    return dict(total)
+
+
+def _discrepancy(run: Path) -> dict[str, Any] | None:
+    """The report of the active set; of the ticks whose state the edge has solved."""
+    ticks = run / f"{_ROBOT}.parquet"
+    if not ticks.exists() or not _lives(run, _EDGE, "parquet"):
+        return None
+    schema, rows = read_parquet(ticks)
+    return discrepancy_report(schema, rows, _rows(run, _EDGE))
+
+
+def _report(file: Path) -> dict[str, Any] | None:
+    try:
+        report: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return report

@@ -1,0 +1,135 @@
+"""The services of the stack, as `services.toml` declares them; nothing is started here.
+
+Keys of a service; those it leaves out are in the table [defaults]:
+
+    command         arguments of `python -m`
+    after           services that have to be ready before it starts, where they run here too
+    takes           flags it is given: config, telemetry, out, name, secure
+    report          stem of the files it leaves in the run's folder, if any
+    port            where it listens for other machines unless --listen says otherwise; 0: nowhere
+    by_default      whether it runs without being named in --only
+    ready           what its line begins with once it can be used
+    ready_seconds   how long that may take, beyond what it may wait for a connection
+    stop_seconds    how long it may take to end before it is killed
+    restart         no, or on-failure:N: started again up to N times when it ends with an error
+    end             of the process: outcome, the run is over and has its exit code; failure, the run
+                    has failed; ignored, the run goes on
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from shared.errors import ConfigError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:  # pragma: no cover
+    import tomli as tomllib
+
+FILE = Path(__file__).with_name("services.toml")
+OUTCOME, FAILURE, IGNORED = "outcome", "failure", "ignored"
+FLAGS = ("config", "telemetry", "out", "name", "secure")
+_RESTART = re.compile(r"no|on-failure:([1-9]\d?)")
+
+
+@dataclass(frozen=True)
+class Service:
+    """One service, with the keys that the module describes."""
+
+    name: str
+    command: tuple[str, ...]
+    after: tuple[str, ...]
+    takes: tuple[str, ...]
+    report: str
+    port: int
+    by_default: bool
+    ready: str
+    ready_seconds: float
+    stop_seconds: float
+    restart: str
+    end: str
+
+    @property
+    def restarts_at_most(self) -> int:
+        """How often it is started again by itself."""
+        match = _RESTART.fullmatch(self.restart)
+        return int(match[1]) if match is not None and match[1] else 0
+
+
+def load_services(path: Path = FILE) -> dict[str, Service]:
+    """The services by name, in the order of the file. `ConfigError` says what cannot be used."""
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"services: cannot read {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"services: {path} is not valid TOML: {error}") from None
+    defaults = tables.pop("defaults", {})
+    services = {name: _service(name, defaults, table) for name, table in tables.items()}
+    for service in services.values():
+        for name in service.after:
+            _check(service.name, "after", name, name in services, f"some of {', '.join(services)}")
+    starting_order(services)
+    return services
+
+
+def starting_order(services: dict[str, Service]) -> tuple[str, ...]:
+    """Names so that each comes after those of them it waits for, else in the order given."""
+    order: list[str] = []
+    while len(order) < len(services):
+        free = [
+            name
+            for name, service in services.items()
+            if name not in order
+            and all(each in order or each not in services for each in service.after)
+        ]
+        if not free:
+            left = ", ".join(name for name in services if name not in order)
+            raise ConfigError(f"services: {left} wait for one another; look at their `after`")
+        order.append(free[0])
+    return tuple(order)
+
+
+def _service(name: str, defaults: dict[str, Any], own: Any) -> Service:
+    fields = {field.name: field for field in dataclasses.fields(Service) if field.name != "name"}
+    if not isinstance(own, dict):
+        raise ConfigError(f"services: expected tables, got {name} = {own!r}")
+    table = {**defaults, **own}
+    for key in table:
+        if key not in fields:
+            raise ConfigError(f"services: {name}: expected some of {', '.join(fields)}, got {key}")
+    for key in fields:
+        if key not in table:
+            raise ConfigError(f"services: {name}: expected {key}, here or in [defaults]")
+    for key in ("command", "after", "takes"):
+        is_list = isinstance(table[key], list) and all(isinstance(e, str) for e in table[key])
+        _check(name, key, table[key], is_list, "a list of strings")
+        table[key] = tuple(table[key])
+    for key in ("report", "ready", "restart", "end"):
+        _check(name, key, table[key], isinstance(table[key], str), "a string")
+    for key in ("ready_seconds", "stop_seconds"):
+        value = table[key]
+        is_time = isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0
+        _check(name, key, value, is_time, "a number of seconds above 0")
+    port, restart, end = table["port"], table["restart"], table["end"]
+    _check(name, "command", [], bool(table["command"]), "at least the module")
+    _check(name, "port", port, type(port) is int and 0 <= port < 65536, "0 to 65535")
+    by_default = table["by_default"]
+    _check(name, "by_default", by_default, isinstance(by_default, bool), "true or false")
+    _check(name, "restart", restart, _RESTART.fullmatch(restart), "no, or on-failure:N")
+    ends = (OUTCOME, FAILURE, IGNORED)
+    _check(name, "end", end, end in ends, f"one of {', '.join(ends)}")
+    for flag in table["takes"]:
+        _check(name, "takes", flag, flag in FLAGS, f"some of {', '.join(FLAGS)}")
+    return Service(name=name, **table)
+
+
+def _check(name: str, key: str, value: object, good: object, expected: str) -> None:
+    if not good:
+        raise ConfigError(f"services: {name}: {key}: expected {expected}, got {value!r}")

@@ -1,0 +1,190 @@
+"""`ps`, `logs` and `down` on stacks that are no more than a lock, a state and a process."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy import control
+from deploy.registry import Registry
+from deploy.state import ENDED, READY, ServiceState, StackFolder, StackState
+from shared.errors import ConfigError, LinkError
+
+# A stack that ends at a signal as one does: with a state that says so, then without its lock.
+STANDS_IN = """
+import dataclasses, pathlib, signal, sys
+from deploy.state import ENDED, StackFolder
+stack = StackFolder(pathlib.Path(sys.argv[1]))
+with stack.claim():
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+    print("READY", flush=True)
+    signal.sigwait([signal.SIGTERM])
+    end = {"state": ENDED, "outcome": "stopped", "exit_code": 130}
+    stack.write(dataclasses.replace(stack.read(), **end))
+"""
+SERVICES = (ServiceState("edge", 11, READY, 5.0, 2, None),)
+
+
+@pytest.fixture(autouse=True)
+def known(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Registry:
+    folder = tmp_path / "stacks"
+    monkeypatch.setattr(control, "Registry", lambda: Registry(folder))
+    return Registry(folder)
+
+
+def written(run: Path, **changes) -> StackFolder:
+    """A stack that has ended, unless told otherwise; nobody holds its lock."""
+    state = {"pid": 1, "robot": "romeo", "named": ("edge", "robot"), "state": ENDED, "since": 9.0}
+    run.mkdir(exist_ok=True)
+    stack = StackFolder(run)
+    stack.claim().close()
+    ended = {"services": SERVICES, "outcome": "it fell", "exit_code": 3}
+    stack.write(StackState(**{**state, **ended, **changes}))
+    return stack
+
+
+@pytest.fixture
+def running(tmp_path: Path):
+    """A stack that runs, in a process of its own."""
+    started = []
+
+    def start(name: str = "run", **changes) -> StackFolder:
+        changes = {"state": READY, "outcome": "", "exit_code": None, **changes}
+        stack = written(tmp_path / name, **changes)
+        process = subprocess.Popen(
+            [sys.executable, "-c", STANDS_IN, str(stack.run)], stdout=subprocess.PIPE
+        )
+        started.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"READY\n"
+        stack.write(dataclasses.replace(stack.read(), pid=process.pid))
+        return stack
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def asked(**changes) -> argparse.Namespace:
+    return argparse.Namespace(**{"name": None, "run": None, "service": None, **changes})
+
+
+def test_with_nothing_there_ps_and_down_say_so_and_logs_is_an_error(capsys):
+    assert control.ps(asked()) == 0
+    assert control.down(asked()) == 0
+    assert capsys.readouterr().out == "nothing is running\n" * 2
+    with pytest.raises(ConfigError, match="up -d starts one"):
+        control.logs(asked(follow=False))
+
+
+def test_ps_shows_every_service_of_a_stack_that_runs(known, running, capsys):
+    stack = running(named=("edge", "robot"))
+    known.add(stack.run, robot="romeo", services=("edge", "robot"))
+    assert control.ps(asked()) == 0
+    told = capsys.readouterr().out
+    assert "romeo, ready since" in told
+    assert "  edge          11  ready " in told
+    assert told.splitlines()[2].endswith(" 2")
+    assert "  robot          -  not started" in told
+
+
+def test_ps_and_down_say_how_a_stack_ended_by_itself(known, tmp_path, capsys):
+    known.add(written(tmp_path / "run").run, robot="romeo", services=("edge", "robot"))
+    assert control.ps(asked()) == 0
+    assert control.down(asked()) == 3
+    told = capsys.readouterr().out
+    assert told.count("nothing is running") == 2
+    assert told.count("(exit 3): it fell") == 2
+
+
+def test_down_ends_what_runs_and_that_is_no_failure(known, running, capsys):
+    stack = running()
+    known.add(stack.run, robot="romeo", services=("edge", "robot"))
+    pid = stack.read().pid
+    assert control.down(asked()) == 0
+    assert not stack.alive
+    assert "(exit 130): stopped" in capsys.readouterr().out
+    assert os.waitpid(pid, 0)[1] == 0
+
+
+def test_a_stack_whose_supervisor_was_killed_is_an_error(known, tmp_path, capsys):
+    stack = written(tmp_path / "run", state=READY, exit_code=None)
+    known.add(stack.run, robot="romeo", services=("edge",))
+    assert control.ps(asked()) == 0
+    assert control.down(asked()) == 2
+    told = capsys.readouterr().out
+    assert "its supervisor was killed" in told
+    assert " 11  ready" not in told
+
+
+def test_a_robot_has_one_stack_of_a_kind_and_others_have_their_own(known, running):
+    first = running("first", robot="amy", named=("edge", "robot"))
+    known.add(first.run, robot="amy", services=("edge", "robot"))
+    with pytest.raises(ConfigError, match=rf"edge of amy run already .*{first.run}"):
+        known.add(first.run.parent / "other", robot="amy", services=("edge",))
+    second = running("second", robot="ben")
+    known.add(second.run, robot="ben", services=("edge", "robot"))
+    third = running("third", robot="amy", named=("viewer",))
+    known.add(third.run, robot="amy", services=("viewer",))
+    assert len(known.current()) == 3
+    assert {stack.run for stack, _ in known.current(robot="amy")} == {first.run, third.run}
+
+
+def test_one_that_has_ended_makes_room_and_a_folder_that_is_gone_is_forgotten(known, tmp_path):
+    known.add(written(tmp_path / "old").run, robot="romeo", services=("edge",))
+    new = written(tmp_path / "new", since=10.0)
+    known.add(new.run, robot="romeo", services=("edge",))
+    assert [stack.run for stack, _ in known.current()] == [new.run]
+    known.add(tmp_path / "gone", robot="amy", services=("edge",))
+    assert known.found(robot="amy") == []
+
+
+def test_of_several_stacks_one_has_to_be_named(known, running):
+    for name in ("amy", "ben"):
+        known.add(running(name, robot=name).run, robot=name, services=("edge", "robot"))
+    with pytest.raises(ConfigError, match="by --name or --run"):
+        control.logs(asked(follow=False))
+    with pytest.raises(ConfigError, match="expected one of edge, robot, got 'viewer'"):
+        control.logs(asked(follow=False, name="amy", service="viewer"))
+    with pytest.raises(ConfigError, match="expected one of edge, netem"):
+        control.logs(asked(follow=False, service="eggs"))
+
+
+def test_logs_are_shown_as_they_were_said(tmp_path, capsys):
+    stack = written(tmp_path / "run")
+    stack.log.write_text("run folder: x\n  edge | READY\nStands after\n")
+    (stack.run / "edge.log").write_text("READY\nlast, without an end")
+    assert control.logs(asked(follow=True, run=stack.run)) == 0
+    assert capsys.readouterr().out == stack.log.read_text()
+    assert control.logs(asked(follow=True, run=stack.run, service="edge")) == 0
+    assert capsys.readouterr().out == "  edge | READY\n  edge | last, without an end\n"
+    assert control.logs(asked(follow=False, run=stack.run, service="robot")) == 0
+
+
+def test_logs_that_are_followed_end_with_the_stack(running, capsys):
+    stack = running()
+    stack.log.write_text("    up | ready\n")
+    os.kill(stack.read().pid, 15)
+    assert control.logs(asked(follow=True, run=stack.run)) == 0
+    assert not stack.alive
+    assert capsys.readouterr().out == "    up | ready\n"
+
+
+def test_a_restart_needs_a_stack_that_runs_and_answers(tmp_path, running):
+    with pytest.raises(ConfigError, match="nothing is running"):
+        control.restart(asked(service="edge", run=written(tmp_path / "old").run))
+    with pytest.raises(LinkError, match="does not answer"):
+        control.restart(asked(service="edge", run=running().run))
+
+
+def test_a_folder_that_is_no_run_is_an_error(tmp_path):
+    with pytest.raises(ConfigError, match="folder of a run"):
+        control.ps(asked(run=tmp_path))

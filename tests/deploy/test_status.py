@@ -1,0 +1,158 @@
+"""The status line and the events, from rows as the services publish them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deploy.events import Events
+from deploy.status import Status, sparkline
+from shared.bus.base import Delivery
+from shared.telemetry import LINK_SCHEMA, encode_rows, tick_schema
+
+TICKS = tick_schema(nq=38, nv=37)
+MS = 1_000_000
+# The machine's clock when the task begins.
+BEGIN_NS = 7_000 * MS
+
+
+def ticks(first_ms: int, last_ms: int, **columns) -> np.ndarray:
+    """A row per millisecond of the task."""
+    times_ms = np.arange(first_ms, last_ms + 1)
+    rows = np.zeros((len(times_ms), TICKS.width))
+    rows[:, TICKS.slices["time_ns"]] = times_ms[:, None] * MS
+    rows[:, TICKS.slices["wall_ns"]] = BEGIN_NS + times_ms[:, None] * MS
+    for name, value in columns.items():
+        rows[:, TICKS.slices[name]] = value
+    return rows
+
+
+def messages(*sent_and_delay_ms: tuple[float, float], direction: int = 0) -> np.ndarray:
+    """A row per message through the shim; a negative delay is that of a lost one."""
+    rows = np.zeros((len(sent_and_delay_ms), LINK_SCHEMA.width))
+    for row, (sent_ms, delay_ms) in zip(rows, sent_and_delay_ms, strict=True):
+        row[LINK_SCHEMA.slices["wall_ns"]] = BEGIN_NS + sent_ms * MS
+        row[LINK_SCHEMA.slices["direction"]] = direction
+        row[LINK_SCHEMA.slices["achieved_ns"]] = delay_ms * MS if delay_ms >= 0 else -1
+    return rows
+
+
+def texts(events: Events) -> list[str]:
+    return [event.text for event in events.take()]
+
+
+@pytest.fixture
+def events() -> Events:
+    """The task has begun, and the link passes messages."""
+    begun = Events()
+    begun.take_ticks(TICKS, ticks(0, 99))
+    begun.take_link(LINK_SCHEMA, messages(*((sent, 10) for sent in range(80))))
+    assert texts(begun) == []
+    return begun
+
+
+def test_a_push_is_told_once_when_it_begins(events):
+    pushed = ticks(100, 199)
+    pushed[50:, TICKS.slices["push_n"]] = [0.0, -80.0, 0.0]
+    events.take_ticks(TICKS, pushed)
+    assert texts(events) == ["pushed with 80 N to -y at 0.15 s"]
+    events.take_ticks(TICKS, ticks(200, 299, push_n=[0.0, -80.0, 0.0]))
+    events.take_ticks(TICKS, ticks(300, 399))
+    assert texts(events) == []
+    events.take_ticks(TICKS, ticks(400, 499, push_n=[30.0, 40.0, 0.0]))
+    assert texts(events) == ["pushed with (30, 40, 0) N at 0.40 s"]
+    assert "80 N to -y at 0.15 s, (30, 40, 0) N" in events.in_words()
+
+
+def test_an_outage_is_told_while_it_lasts_and_with_its_length_when_it_ends(events):
+    for first in range(100, 700, 100):
+        events.take_ticks(TICKS, ticks(first, first + 99))
+    # The last state came out at 89 ms.
+    assert texts(events) == ["nothing passes the link since 0.09 s"]
+    events.take_link(LINK_SCHEMA, messages((80, 620), (400, 300), (690, 11)))
+    assert texts(events) == ["the link passes again at 0.70 s, after 0.61 s"]
+    assert events.in_words() == "link stood still 1 ×, at most 0.61 s"
+
+
+def test_a_short_outage_is_told_when_it_is_over(events):
+    events.take_ticks(TICKS, ticks(100, 199))
+    events.take_link(LINK_SCHEMA, messages((80, 160), (200, 41)))
+    assert texts(events) == ["the link passes again at 0.24 s, after 0.15 s"]
+
+
+def test_a_link_that_was_cut_passes_nothing_though_messages_are_reported_lost(events):
+    for first in range(100, 700, 100):
+        events.take_ticks(TICKS, ticks(first, first + 99))
+        events.take_link(LINK_SCHEMA, messages((first, -1), (first + 50, -1)))
+    assert texts(events) == ["nothing passes the link since 0.09 s"]
+    assert events.in_words() == "nothing passed since 0.09 s"
+
+
+def test_a_report_that_was_late_is_no_outage(events):
+    events.take_ticks(TICKS, ticks(100, 699))
+    events.take_link(LINK_SCHEMA, messages(*((sent, 10) for sent in range(80, 690))))
+    assert texts(events)[1:] == ["the link passes; its report was late"]
+    assert events.in_words() == ""
+
+
+def test_answers_may_be_rare_and_a_delay_is_no_outage(events):
+    events.take_ticks(TICKS, ticks(100, 199))
+    events.take_link(LINK_SCHEMA, messages((0, 10), (400, 10), direction=1))
+    far = Events()
+    far.take_ticks(TICKS, ticks(0, 1999))
+    far.take_link(LINK_SCHEMA, messages(*((sent, 1000) for sent in range(900))))
+    assert texts(events) == texts(far) == []
+
+
+def test_nothing_is_told_before_the_task_begins():
+    waiting = Events()
+    waiting.take_ticks(TICKS, ticks(0, 99, time_ns=-1.0))
+    waiting.take_link(LINK_SCHEMA, messages((0, 1), (900, 1)))
+    assert texts(waiting) == []
+
+
+def test_bars_are_by_powers_of_ten_from_a_millisecond_to_a_second():
+    assert sparkline([0.0, 1.0, 30.0, 999.0, 5000.0]) == "▁▁▄██"
+
+
+@pytest.fixture
+def status() -> Status:
+    shown = Status(duration=5.0, walks=True)
+    for first in range(0, 3000, 100):
+        link = messages(*((first + k, 10) for k in range(100)))
+        shown.take_link(Delivery(encode_rows(LINK_SCHEMA, link), envelope=None))
+        rows = ticks(first, first + 99, mode=1, projector_age_ns=20 * MS)
+        shown.take_ticks(Delivery(encode_rows(TICKS, rows), envelope=None))
+    return shown
+
+
+def test_the_line_is_as_wide_as_it_may_be(status):
+    whole = status.line(200)
+    assert "t  3.00/5 s | fresh " in whole
+    assert "link up 10.0 down - ms " + "▃" * 30 in whole
+    assert "left foot" in whole
+    assert "projector age 20.0 ms" in whole
+    for columns in (160, 130, 100, 80, 40):
+        assert len(status.line(columns)) <= columns
+    assert "▃" * 8 in status.line(140)
+    assert "▃" not in status.line(100)
+
+
+def test_a_link_that_passes_nothing_is_a_growing_bar(status):
+    rows = ticks(3000, 3999)
+    status.take_ticks(Delivery(encode_rows(TICKS, rows), envelope=None))
+    assert "▃█" in status.line(200)
+
+
+def test_what_is_lost_is_called_so(status):
+    lost = messages((3000, -1))
+    status.take_link(Delivery(encode_rows(LINK_SCHEMA, lost), envelope=None))
+    assert "link up lost down - ms" in status.line(200)
+
+
+def test_a_robot_that_waits_says_so():
+    empty = Status(duration=5.0)
+    assert empty.line() == "waiting for the robot"
+    rows = ticks(0, 9, time_ns=-1.0)
+    empty.take_ticks(Delivery(encode_rows(TICKS, rows), envelope=None))
+    assert empty.line() == "robot waits for its first projector"

@@ -1,0 +1,169 @@
+"""Real but tiny processes: what they print decides, never how long they take."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy.services import load_services
+from deploy.state import ENDED, READY
+from deploy.supervisor import Launch, Supervisor
+from shared.errors import ConfigError, LinkError
+
+FAILS = "print('READY', flush=True); raise SystemExit(4)"
+# Fails in its first life and serves in its second.
+FAILS_ONCE = (
+    "import pathlib; p = pathlib.Path('{0}'); again = p.exists(); p.touch(); "
+    "print('READY', flush=True); __import__('time').sleep(60 if again else 0); raise SystemExit(4)"
+)
+SLEEPS = "print('READY', flush=True); __import__('time').sleep(60)"
+
+
+class Run:
+    """A supervisor, and what it said and did."""
+
+    def __init__(self, folder: Path) -> None:
+        self.said: list[str] = []
+        self.restarted: list[str] = []
+        self.supervisor = Supervisor(
+            folder,
+            lambda name, line: self.said.append(f"{name}: {line}"),
+            changed=lambda: None,
+            before_restart=lambda service: self.restarted.append(service.name),
+        )
+
+    async def start(self, name: str, code: str, **changes) -> None:
+        service = dataclasses.replace(load_services()[name], **changes)
+        await self.supervisor.start(Launch(service, (sys.executable, "-c", code), 60.0))
+
+    def state(self, name: str) -> str:
+        return next(each.state for each in self.supervisor.states() if each.name == name)
+
+
+def played(folder: Path, scenario):
+    """The result of a scenario; whatever it started has ended."""
+
+    async def play():
+        run = Run(folder)
+        try:
+            return await asyncio.wait_for(scenario(run), 60.0)
+        finally:
+            await run.supervisor.stop()
+            for each in run.supervisor.states():
+                with pytest.raises(ProcessLookupError):
+                    os.killpg(each.pid, 0)
+                assert each.state == ENDED
+
+    return asyncio.run(play())
+
+
+def test_a_service_is_ready_with_its_line_and_its_output_is_kept(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.start("edge", "print('hello'); " + SLEEPS)
+        assert run.state("edge") == READY
+        assert run.said == ["edge: hello", "edge: READY"]
+
+    played(tmp_path, scenario)
+    assert (tmp_path / "edge.log").read_text() == "hello\nREADY\n"
+
+
+def test_a_service_that_ends_before_it_is_ready_is_told_with_its_last_line(tmp_path: Path):
+    async def scenario(run: Run):
+        with pytest.raises(LinkError, match=r"edge did not start \(exit 2\): no port"):
+            await run.start("edge", "print('error: no port'); raise SystemExit(2)")
+
+    played(tmp_path, scenario)
+
+
+def test_a_service_that_ends_ends_the_run_with_its_exit_code(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.start("netem", FAILS)
+        return await run.supervisor.wait()
+
+    service, code = played(tmp_path, scenario)
+    assert (service.name, code) == ("netem", 4)
+
+
+def test_the_end_of_a_view_is_not_the_end_of_the_run(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.start("viewer", FAILS)
+        await run.start("robot", FAILS)
+        return await run.supervisor.wait()
+
+    service, _ = played(tmp_path, scenario)
+    assert service.name == "robot"
+
+
+def test_a_service_that_fails_is_started_again_as_its_policy_says(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.start("edge", FAILS, restart="on-failure:2")
+        service, code = await run.supervisor.wait()
+        assert (service.name, code) == ("edge", 4)
+        assert run.restarted == ["edge", "edge"]
+        assert run.supervisor.states()[0].restarts == 2
+        assert "edge: ended (exit 4): started again, 2 of 2" in run.said
+
+    played(tmp_path, scenario)
+
+
+def test_a_service_that_came_back_goes_on(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.start("edge", FAILS_ONCE.format(tmp_path / "first"))
+        while not any("ready again" in line for line in run.said):
+            await asyncio.sleep(0.01)
+        assert run.state("edge") == READY
+        assert run.supervisor.running("edge")
+
+    played(tmp_path, scenario)
+
+
+def test_a_restart_is_another_process_and_no_end(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.start("netem", SLEEPS)
+        first = run.supervisor.states()[0].pid
+        await run.supervisor.restart("netem")
+        (state,) = run.supervisor.states()
+        assert state.pid != first
+        assert (state.state, state.restarts) == (READY, 1)
+        with pytest.raises(ProcessLookupError):
+            os.killpg(first, 0)
+        await run.start("robot", FAILS)
+        service, _ = await run.supervisor.wait()
+        assert service.name == "robot"
+
+    played(tmp_path, scenario)
+    assert (tmp_path / "netem.log").read_text() == "READY\nREADY\n"
+
+
+def test_a_restart_that_does_not_come_back_is_an_error_and_the_end(tmp_path: Path):
+    code = (
+        f"import pathlib; p = pathlib.Path('{tmp_path / 'second'}'); "
+        f"p.exists() and exit('error: cannot'); p.touch(); {SLEEPS}"
+    )
+
+    async def scenario(run: Run):
+        await run.start("netem", code)
+        with pytest.raises(LinkError, match="netem did not start"):
+            await run.supervisor.restart("netem")
+        service, exit_code = await run.supervisor.wait()
+        assert (service.name, exit_code) == ("netem", 1)
+
+    played(tmp_path, scenario)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"), [("viewer", "expected one of robot"), ("robot", "run ends with robot")]
+)
+def test_what_cannot_be_started_again_says_why(tmp_path: Path, name: str, told: str):
+    async def scenario(run: Run):
+        await run.start("robot", SLEEPS)
+        with pytest.raises(ConfigError, match=told):
+            await run.supervisor.restart(name)
+        assert run.supervisor.running("robot")
+
+    played(tmp_path, scenario)

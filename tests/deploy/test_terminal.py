@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import io
+import sys
+
+from deploy.terminal import Terminal, said
+
+
+def test_elsewhere_than_on_a_terminal_there_are_no_escape_codes(capsys):
+    copy = io.StringIO()
+    terminal = Terminal(copy)
+    terminal.say("edge", "READY")
+    terminal.show("t 1 s")
+    terminal.show("t 2 s")
+    terminal.clear()
+    terminal.tell("Stands\n  files")
+    assert capsys.readouterr().out == "  edge | READY\nstatus | t 1 s\nStands\n  files\n"
+    assert copy.getvalue() == "  edge | READY\nStands\n  files\n"
+
+
+def test_on_a_terminal_the_status_line_stays_last_and_fits(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "30")
+    copy = io.StringIO()
+    terminal = Terminal(copy)
+    terminal.show("x" * 100)
+    assert capsys.readouterr().out.endswith("\r\x1b[2K" + "x" * 29)
+    terminal.say("edge", "hello")
+    out = capsys.readouterr().out
+    assert out.startswith("\r\x1b[2K\x1b[34m")
+    assert out.endswith("hello\n" + "x" * 29)
+    # For whoever reads it later.
+    assert copy.getvalue() == "  edge | hello\n"
+
+
+def test_whoever_was_left_hears_no_more_and_the_copy_goes_on(capsys):
+    copy = io.StringIO()
+    terminal = Terminal(copy)
+    terminal.leave()
+    terminal.say("edge", "READY")
+    terminal.show("t 1 s")
+    terminal.tell("Stands")
+    terminal.note("error: none")
+    assert capsys.readouterr().out == ""
+    assert copy.getvalue() == "  edge | READY\nStands\nerror: none\n"
+
+
+def test_a_line_of_a_copy_is_known_by_who_said_it():
+    assert said(" robot | 1.00 s: a | b") == ("robot", "1.00 s: a | b")
+    assert said("Stands after 5.00 s") is None
+    assert said("  CoM error 1.2 cm") is None
