@@ -104,15 +104,11 @@ class ServiceLog:
             except OSError as error:
                 raise ConfigError(f"out: cannot create {out}: {error.strerror}") from None
         folder = out if out is not None else Path(self._temporary.name)
-        self.rows = RowLog(schema, path=folder / f"{name}.rows", publish=publish)
-        self._spare = np.zeros(schema.width)
-        self._left = _MAX_ROWS
+        # Those who watch see the rows that the file has no room for.
+        self.rows = RowLog(schema, path=folder / f"{name}.rows", publish=publish, at_most=_MAX_ROWS)
 
     def row(self) -> np.ndarray:
-        """The next row to fill; after an hour's worth, one that goes nowhere."""
-        if self._left == 0:
-            return self._spare
-        self._left -= 1
+        """The next row to fill."""
         return self.rows.row()
 
     def finish(self, report: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:

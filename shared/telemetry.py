@@ -112,7 +112,8 @@ class RowLog:
     """Rows under one schema. `row()` gives the next row to fill; `close()` ends the log.
 
     With a `path`, blocks go to `path` as raw float64 and memory stays bounded; without, they are
-    kept. `publish` receives each block's encoding on the background thread.
+    kept. `publish` receives each block's encoding on the background thread. A file takes `at_most`
+    so many rows; those after them are published only.
     """
 
     def __init__(
@@ -121,10 +122,12 @@ class RowLog:
         *,
         path: Path | None = None,
         publish: Callable[[bytes], None] | None = None,
+        at_most: int | None = None,
     ) -> None:
         self.schema = schema
         self.path = path
         self._publish = publish
+        self._left = at_most
         self._kept: list[np.ndarray] = []
         self._block = np.zeros((BLOCK_ROWS, schema.width))
         self._used = 0
@@ -174,7 +177,10 @@ class RowLog:
     def _drain(self) -> None:
         while (block := self._queue.get()) is not None:
             if self._file is not None:
-                self._file.write(block.data)
+                kept = block[: self._left]
+                self._file.write(kept.data)
+                if self._left is not None:
+                    self._left -= len(kept)
             if self._publish is not None:
                 self._publish(encode_rows(self.schema, block))
 

@@ -203,3 +203,14 @@ def test_the_robots_rows_survive_parquet(tmp_path, rng):
     back, values = read_parquet(tmp_path / "ticks.parquet")
     assert_same_schema(back, schema)
     np.testing.assert_array_equal(values, rows)
+
+
+@pytest.mark.parametrize("at_most", [0, 3, BLOCK_ROWS, BLOCK_ROWS + 3])
+def test_a_file_that_is_full_takes_no_more_rows_and_watchers_see_them_all(tmp_path, at_most):
+    received = []
+    count = 2 * BLOCK_ROWS + 7
+    log = RowLog(SCHEMA, path=tmp_path / "x", publish=received.append, at_most=at_most)
+    fill(log, count).close()
+    np.testing.assert_array_equal(log.rows(), expected(count)[:at_most])
+    blocks = [decode_rows(data)[1] for data in received]
+    np.testing.assert_array_equal(np.vstack(blocks), expected(count))
