@@ -21,15 +21,13 @@ from deploy.plan import ROBOT, VIEWER, Plan, Step
 from deploy.registry import Registry
 from deploy.services import IGNORED, OUTCOME, Service
 from deploy.state import ENDED, READY, STARTING, STOPPING, StackFolder, StackState
-from deploy.status import Status
 from deploy.supervisor import Launch, Supervisor
 from deploy.terminal import Terminal
-from shared.bus.zenoh_bus import ZenohBus
+from deploy.watch import open_hub, status_of, tell
 from shared.cli import EXIT_ERROR, EXIT_STANDING
 from shared.config import RunConfig
 from shared.errors import LinkError, UserError
 from shared.report import summary_in_words
-from shared.wire.channels import LINK_KEY, TICKS_KEY
 
 _STATUS_SECONDS = 0.1
 EXIT_INTERRUPTED = 130
@@ -58,7 +56,7 @@ class Stack:
         self._run = run
         self._out = run.out
         self._folder = StackFolder(run.out)
-        self._status = Status(duration=run.config.duration, walks=run.config.task == "walk")
+        self._status = status_of(run.config)
         self._terminal = Terminal()
         self._supervisor = Supervisor(
             run.out, self._say, changed=self._publish, before_restart=self._keep
@@ -84,7 +82,7 @@ class Stack:
         with self._claimed():
             for line in (f"run folder: {self._out}", *self._run.plan.notes):
                 self._terminal.tell(line)
-            hub = self._open_hub()
+            hub = open_hub(self._run.telemetry, self._status, robot=self._run.config.robot.name)
             try:
                 async with OrderDesk(self._folder, self._supervisor.restart):
                     code = await self._play()
@@ -113,13 +111,6 @@ class Stack:
                 raise
             finally:
                 self._put(ENDED, **ended)
-
-    def _open_hub(self) -> ZenohBus:
-        hub = ZenohBus(listen=[self._run.telemetry], mode="router")
-        kind = self._run.config.robot.name
-        hub.subscribe(TICKS_KEY.format(robot=kind), self._status.take_ticks)
-        hub.subscribe(LINK_KEY, self._status.take_link)
-        return hub
 
     async def _play(self) -> int:
         for step in self._run.plan.steps:
@@ -159,10 +150,8 @@ class Stack:
                 self._terminal.say("up", "stopping")
                 ending.cancel()
                 return self._stopped_code
-            for event in self._status.take_events():
-                self._terminal.say(event.name, event.text)
             if self._run.plan.has(ROBOT):
-                self._terminal.show(self._status.line(self._terminal.columns))
+                tell(self._status, self._terminal)
             await asyncio.wait({ending}, timeout=_STATUS_SECONDS)
         service, code = ending.result()
         if service.end != OUTCOME:

@@ -59,7 +59,7 @@ class Terminal:
         self._keep(text)
 
     def show(self, status: str) -> None:
-        """The status line: in place on a terminal, now and then elsewhere."""
+        """The status line: in place on a terminal; elsewhere if it is new, now and then."""
         now = time.monotonic()
         if now - self._last_copied >= _COPY_SECONDS:
             self._last_copied = now
@@ -69,8 +69,8 @@ class Terminal:
         if self._live:
             self._status = status[: self.columns]
             print(f"{_CLEAR_LINE}{self._status}", end="", flush=True)
-        elif now - self._last_plain >= _PLAIN_SECONDS:
-            self._last_plain = now
+        elif now - self._last_plain >= _PLAIN_SECONDS and status != self._status:
+            self._last_plain, self._status = now, status
             print(f"status | {status}", flush=True)
 
     def clear(self) -> None:

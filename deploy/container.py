@@ -1,0 +1,71 @@
+"""One service of `services.toml` as the main process of a container: see `compose.yaml`.
+
+`python -m deploy.container SERVICE [its arguments]`. The file `/tmp/ready` is there once the
+service is ready. What becomes of it when it ends is up to Docker.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import dataclasses
+import signal
+import sys
+import tempfile
+from pathlib import Path
+
+from deploy.services import FAILURE, Service, load_services
+from deploy.supervisor import Launch, Supervisor
+from shared.cli import Parser, run
+
+READY_FILE = Path("/tmp/ready")
+
+
+def main() -> int:
+    services = load_services()
+    parser = Parser(prog="deploy.container", description=__doc__)
+    parser.add_argument("service", choices=services)
+    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="of the service")
+    arguments = parser.parse_args()
+    service = services[arguments.service]
+    READY_FILE.unlink(missing_ok=True)
+    return asyncio.run(_serve(service, arguments.arguments))
+
+
+async def _serve(service: Service, arguments: list[str]) -> int:
+    """Until the service or a signal ends it; the exit code of the service."""
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    with tempfile.TemporaryDirectory() as folder:
+        supervisor = Supervisor(
+            Path(folder),
+            lambda name, line: print(line, flush=True),
+            changed=lambda: None,
+            before_restart=lambda _: None,
+        )
+        alone = dataclasses.replace(service, restart="no", end=FAILURE)
+        command = (sys.executable, "-m", *service.command, *arguments)
+        running = asyncio.create_task(_play(supervisor, Launch(alone, command, float("inf"))))
+        stopping = asyncio.create_task(stop.wait())
+        try:
+            await asyncio.wait({running, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            if running.done():
+                return running.result()
+        finally:
+            stopping.cancel()
+            running.cancel()
+            await supervisor.stop()
+        codes = [state.exit_code for state in supervisor.states()]
+        return next((code for code in codes if code is not None), 0)
+
+
+async def _play(supervisor: Supervisor, launch: Launch) -> int:
+    await supervisor.start(launch)
+    READY_FILE.touch()
+    _, code = await supervisor.wait()
+    return code
+
+
+if __name__ == "__main__":
+    run(main)

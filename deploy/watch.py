@@ -1,0 +1,71 @@
+"""A run in lines, apart from what runs it: the telemetry hub, and what passes it.
+
+`python -m deploy.watch --listen tcp/0.0.0.0:7450`: robot, shim and viewer find one another there.
+`./deploy/up` has a hub of its own.
+"""
+
+from __future__ import annotations
+
+# isort: off
+import shared.single_thread  # noqa: F401
+
+# isort: on
+import time
+
+from deploy.status import Status
+from deploy.terminal import Terminal
+from shared.bus.zenoh_bus import ZenohBus
+from shared.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
+from shared.config import RunConfig
+from shared.service import StopSignal
+from shared.wire.channels import LINK_KEY, TICKS_KEY
+
+_ENDPOINT = "tcp/127.0.0.1:7450"
+_PERIOD_SECONDS = 0.1
+
+
+def main() -> int:
+    parser = Parser(prog="deploy.watch", description=__doc__)
+    parser.add_argument(
+        "--listen", metavar="ENDPOINT", default=_ENDPOINT, help="(default %(default)s)"
+    )
+    add_run_arguments(parser)
+    arguments = parser.parse_args()
+    config = config_from(arguments)
+    stop = StopSignal()
+    status, terminal = status_of(config), Terminal()
+    hub = open_hub(arguments.listen, status, robot=config.robot.name)
+    print(f"READY {arguments.listen}", flush=True)
+    while not stop.requested:
+        tell(status, terminal)
+        time.sleep(_PERIOD_SECONDS)
+    terminal.clear()
+    hub.close()
+    told = status.events.in_words()
+    if told:
+        print(told, flush=True)
+    return EXIT_STANDING
+
+
+def status_of(config: RunConfig) -> Status:
+    """A status line for a run."""
+    return Status(duration=config.duration, walks=config.task == "walk")
+
+
+def open_hub(endpoint: str, status: Status, *, robot: str) -> ZenohBus:
+    """The hub that services of a run report to; `robot` is the kind, not the name on the link."""
+    hub = ZenohBus(listen=[endpoint], mode="router")
+    hub.subscribe(TICKS_KEY.format(robot=robot), status.take_ticks)
+    hub.subscribe(LINK_KEY, status.take_link)
+    return hub
+
+
+def tell(status: Status, terminal: Terminal) -> None:
+    """What is new, and how things are."""
+    for event in status.take_events():
+        terminal.say(event.name, event.text)
+    terminal.show(status.line(terminal.columns))
+
+
+if __name__ == "__main__":
+    run(main)

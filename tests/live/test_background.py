@@ -1,0 +1,171 @@
+"""A stack in the background: started, looked at, one service again, ended; nothing is left."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from deploy.registry import ROOT as STACKS
+from deploy.state import StackFolder
+from tests.live.conftest import ROOT, Process, descendants_naming
+
+pytestmark = pytest.mark.live
+
+Start = Callable[..., Process]
+# The robot's name on the link: this test's stacks are nobody else's.
+NAME = f"test-{os.getpid()}"
+QUIET = ("--controller", "lc", "--push", "none", "--view", "off")
+
+
+@pytest.fixture(autouse=True)
+def left_behind() -> Iterator[None]:
+    """Whatever became of the test, its stacks end and are forgotten."""
+    yield
+    told("down")
+    for link in STACKS.glob(f"{NAME}.*"):
+        link.unlink()
+
+
+def told(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """What a command of `deploy/` says, and its exit code."""
+    return subprocess.run(
+        [str(ROOT / "deploy" / command), *arguments, "--name", NAME],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=180.0,
+    )
+
+
+def up(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "deploy.up", "-d", "--name", NAME, *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=180.0,
+    )
+
+
+def ports_of(run: Path) -> list[int]:
+    """Where its services have listened."""
+    logs = "".join(file.read_text() for file in run.glob("*.log"))
+    ports = [int(port) for port in re.findall(r"^READY tcp/127\.0\.0\.1:(\d+)", logs, re.M)]
+    assert ports
+    return ports
+
+
+def assert_nothing_is_left(run: Path, ports: list[int]) -> None:
+    deadline = time.monotonic() + 60.0
+    while descendants_naming(str(run)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert descendants_naming(str(run)) == []
+    assert not StackFolder(run).alive
+    assert not (run / "stack/control").is_socket()
+    for port in ports:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(("127.0.0.1", port))
+
+
+def test_a_stack_in_the_background_from_its_start_to_its_end(start: Start, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert told("ps").stdout == "nothing is running\n"
+    started = up(*QUIET, "--network", "constant:10ms", "--duration", "600", "--out", str(run))
+    assert started.returncode == 0, started.stdout + started.stderr
+    assert " robot | READY" in started.stdout
+    assert "\x1b" not in started.stdout
+    ports = ports_of(run)
+
+    shown = told("ps")
+    assert shown.returncode == 0
+    table = [line.split() for line in shown.stdout.splitlines()[2:]]
+    assert [(row[0], row[2]) for row in table] == [
+        ("edge", "ready"),
+        ("netem", "ready"),
+        ("robot", "ready"),
+    ]
+    for row in table:
+        assert int(row[1]) in descendants_naming(str(run))
+
+    second = up(*QUIET, "--out", str(tmp_path / "second"))
+    assert second.returncode == 2
+    assert f"edge, netem, robot of {NAME} run already" in second.stderr
+    assert len(second.stderr.splitlines()) == 1
+
+    following = start("deploy.control", "logs", "-f", "robot", "--run", str(run))
+    following.wait_for("the task begins", seconds=60.0)
+    again = told("restart", "edge")
+    assert again.returncode == 0, again.stderr
+    # The robot has stood on what it had, and gets new answers.
+    following.wait_for("new answers again", seconds=60.0)
+    assert told("ps").stdout.splitlines()[2].split()[-1] == "1"
+    refused = told("restart", "robot")
+    assert refused.returncode == 2
+    assert len(refused.stderr.splitlines()) == 1
+
+    ended = told("down")
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert "Stands after" in ended.stdout
+    assert following.wait() == 0
+    assert_nothing_is_left(run, ports)
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["fell"] is False
+    # What both edges have done is in it, and in the log.
+    assert (run / "edge.1.parquet").exists()
+    logged = told("logs").stdout
+    assert logged.count("  edge | READY") == 2
+    assert "edge started again 1 ×" in logged
+
+
+def test_a_stack_whose_robot_falls_ends_by_itself_and_says_so_later(
+    start: Start, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    flags = ("--controller", "pr", "--network", "constant:120ms", "--view", "off")
+    started = up(*flags, "--out", str(run))
+    assert started.returncode == 0, started.stdout + started.stderr
+    following = start("deploy.control", "logs", "-f", "--run", str(run))
+    assert following.wait(seconds=120.0) == 0
+    assert "FELL after" in following.output
+    assert " robot | pushed with 100 N to +y" in following.output
+    shown = told("ps")
+    assert shown.returncode == 0
+    assert shown.stdout.startswith("nothing is running\n")
+    assert "(exit 3): FELL after" in shown.stdout
+    assert told("down").returncode == 3
+    assert_nothing_is_left(run, ports_of(run))
+
+
+def test_a_busy_port_is_one_line_and_a_killed_supervisor_leaves_no_orphan(
+    endpoints: list[str], tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    edge = ("--only", "edge", "--listen", endpoints[0])
+    assert up(*edge, "--out", str(run)).returncode == 0
+    port = endpoints[0].rpartition(":")[2]
+    second = up(*edge, "--out", str(tmp_path / "second"))
+    assert second.returncode == 2
+    assert f"port {port} is in use" in second.stderr
+    assert len(second.stderr.splitlines()) == 1
+    assert not (tmp_path / "second").exists()
+
+    os.kill(StackFolder(run).read().pid, signal.SIGKILL)
+    deadline = time.monotonic() + 60.0
+    while descendants_naming(str(run)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert "its supervisor was killed" in told("ps").stdout
+    assert told("down").returncode == 2
+    (run / "stack/control").unlink()
+    assert_nothing_is_left(run, [int(port)])
