@@ -24,17 +24,7 @@ from viewer.snapshot import ANIMATIONS, animation, picture
 
 
 def main() -> int:
-    return run_command(
-        "viewer",
-        __doc__,
-        (
-            Command("live", "show a run as it happens", _add_live, _live),
-            Command("open", "show a run that is over", _add_open, _show),
-            Command("compare", "show runs side by side, their lines together", _add_compare, _show),
-            Command("snapshot", "make a picture or an animation", _add_snapshot, _snapshot),
-            Command("record", "build RUN/recording.rrd", _add_run, _record),
-        ),
-    )
+    return run_command("viewer", __doc__, _COMMANDS)
 
 
 def _add_live(parser: argparse.ArgumentParser) -> None:
@@ -138,6 +128,15 @@ def _record(arguments: argparse.Namespace) -> int:
 
 def _say(line: str) -> None:
     print(line, flush=True)
+
+
+_COMMANDS = (
+    Command("live", "show a run as it happens", _add_live, _live),
+    Command("open", "show a run that is over", _add_open, _show),
+    Command("compare", "show runs side by side, their lines together", _add_compare, _show),
+    Command("snapshot", "make a picture or an animation", _add_snapshot, _snapshot),
+    Command("record", "build RUN/recording.rrd", _add_run, _record),
+)
 
 
 if __name__ == "__main__":

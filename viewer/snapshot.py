@@ -18,6 +18,7 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from shared.errors import UserError
+from viewer.plots import BLUE, CYAN, GREEN, ORANGE, PURPLE, RED, YELLOW
 from viewer.recorder import TIMELINE
 from viewer.recording import save
 from viewer.rerun_process import HOST, RerunProcess, free_port
@@ -82,11 +83,25 @@ def animation(
     options: dict[str, Any] = {"save_all": True, "duration": frame_ms, "loop": 0}
     if out.suffix == ".gif":
         # One palette, without dithering: what does not move then costs nothing.
-        palette = frames[len(frames) // 2].quantize(128)
+        palette = _palette(frames[len(frames) // 2])
         frames = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames]
     else:
         options |= {"quality": 60, "method": 4}
     _write(frames[0], out, append_images=frames[1:], **options)
+
+
+def _palette(frame: Image.Image) -> Image.Image:
+    """The colours of a frame, mostly greys, and those of lines and arrows, bright and shaded."""
+    lines = [
+        round(shade * part)
+        for colour in (RED, GREEN, BLUE, ORANGE, YELLOW, PURPLE, CYAN)
+        for shade in (1.0, 0.7)
+        for part in colour
+    ]
+    common = 256 - len(lines) // 3
+    palette = Image.new("P", (1, 1))
+    palette.putpalette((frame.quantize(common).getpalette() or [])[: 3 * common] + lines)
+    return palette
 
 
 def _draw(runs: Sequence[RunFolder], times: Sequence[float]) -> Iterator[Image.Image]:
