@@ -15,8 +15,9 @@ from shared.telemetry import Schema, decode_rows
 from shared.wbc.contacts import ContactMode
 
 _BARS = "▁▂▃▄▅▆▇█"
-# Of the lowest and the highest bar, by powers of ten in between [ms].
+# What the lowest and the highest bar stand for, by powers of ten in between [ms].
 _LEAST_MS, _MOST_MS = 1.0, 1000.0
+# How many of them are shown.
 _LONGEST, _SHORTEST = 40, 8
 _FEET = {
     ContactMode.DOUBLE_SUPPORT: "both feet",
@@ -41,7 +42,9 @@ class Status:
         """Block of the robot's rows."""
         schema, rows = self._tick = decode_rows(delivery.data)
         self.events.take_ticks(schema, rows)
-        self._delays_ms.append(self._round_trip_ms())
+        delay_ms = self._round_trip_ms(schema, rows)
+        if delay_ms is not None:
+            self._delays_ms.append(delay_ms)
 
     def take_link(self, delivery: Delivery) -> None:
         """Block of the shim's rows."""
@@ -60,7 +63,10 @@ class Status:
         return self.events.take()
 
     def line(self, columns: int = 160) -> str:
-        """One line of at most so many columns; says that it waits until the robot has begun."""
+        """One line of at most so many columns, from the left what matters most.
+
+        Says that it waits until the robot has begun.
+        """
         if self._tick is None:
             return "waiting for the robot"[:columns]
         schema, rows = self._tick
@@ -68,19 +74,25 @@ class Status:
         time_ns = last["time_ns"]
         if time_ns < 0:
             return "robot waits for its first projector"[:columns]
-        age = f"{last['projector_age_ns'] * 1e-6:.1f}" if last["projector_age_ns"] >= 0 else "-"
-        pushed = " push!" if np.any(schema.column(rows, "push_n")) else ""
-        feet = f" | {_FEET[ContactMode(int(last['mode']))]:<10}" if self._walks else ""
-        before = f"t {time_ns * 1e-9:5.2f}/{self._duration:g} s | {SOURCES[int(last['source'])]:<9}"
-        after = (
-            f"{pushed}{feet} | projector age {age} ms"
-            f" | CoM error {100 * last['com_error_m']:.1f} cm | overruns {int(last['overruns'])}"
-        )
-        link = f" | link up {self._way(0)} down {self._way(1)} ms"
-        room = min(columns - len(before) - len(link) - len(after) - 1, _LONGEST)
-        if self._delay_ms[0] is not None and room >= _SHORTEST:
-            drawn = sparkline(list(self._delays_ms)[-room:])
-            link += f" {drawn:<{min(room, _LONGEST)}}"
+        source, age_ns = SOURCES[int(last["source"])], last["projector_age_ns"]
+        before = f"t {time_ns * 1e-9:5.2f}/{self._duration:g} s | {source:<9}"
+        link = f" | link up {self._way(0)} down {self._way(1)} ms "
+        after = " push!" if np.any(schema.column(rows, "push_n")) else ""
+        parts = [f"projector age {age_ns * 1e-6:.1f} ms"] if age_ns >= 0 else []
+        parts.append(f"CoM error {100 * last['com_error_m']:.1f} cm")
+        if self._walks:
+            parts.append(f"{_FEET[ContactMode(int(last['mode']))]:<10}")
+        parts.append(f"overruns {int(last['overruns'])}")
+        room = columns - len(before + link + after)
+        shortest = _SHORTEST if self._delays_ms else 0
+        for part in parts:
+            if room - len(part) - 3 < shortest:
+                break
+            after += f" | {part}"
+            room -= len(part) + 3
+        if shortest and room > 0:
+            longest = min(room, _LONGEST)
+            link += sparkline(list(self._delays_ms)[-longest:]).ljust(longest)
         return (before + link + after)[:columns]
 
     def _way(self, direction: int) -> str:
@@ -89,8 +101,15 @@ class Status:
         delay_ms = self._delay_ms[direction]
         return "-" if delay_ms is None else f"{delay_ms:.1f}"
 
-    def _round_trip_ms(self) -> float:
-        """There and back, or as long as nothing has come through at all."""
+    def _round_trip_ms(self, schema: Schema, rows: np.ndarray) -> float | None:
+        """There and back, or as long as nothing has come through at all.
+
+        Without a shim here the age of the answer in use, if it is used as it came.
+        """
+        if self._delay_ms[0] is None:
+            source = SOURCES[int(schema.column(rows, "source")[-1])]
+            age_ns = float(schema.column(rows, "projector_age_ns")[-1])
+            return age_ns * 1e-6 if source in ("fresh", "cached") and age_ns >= 0 else None
         known = sum(delay for delay in self._delay_ms if delay is not None)
         silence_ns = self.events.silence_ns
         return max(known, silence_ns * 1e-6) if silence_ns >= OUTAGE_NS else known

@@ -132,16 +132,31 @@ def test_the_line_is_as_wide_as_it_may_be(status):
     assert "link up 10.0 down - ms " + "▃" * 30 in whole
     assert "left foot" in whole
     assert "projector age 20.0 ms" in whole
-    for columns in (160, 130, 100, 80, 40):
+    for columns in (160, 130, 100, 80, 40, 1):
         assert len(status.line(columns)) <= columns
-    assert "▃" * 8 in status.line(140)
-    assert "▃" not in status.line(100)
+
+
+def test_on_a_narrow_terminal_the_delay_stays_and_the_rest_goes(status):
+    narrow = status.line(79)
+    assert "link up 10.0 down - ms ▃▃▃▃▃▃▃▃" in narrow
+    assert "projector age" not in narrow
+    wider = status.line(100)
+    assert "▃ | projector age 20.0 ms" in wider
+    assert "overruns" not in wider
 
 
 def test_a_link_that_passes_nothing_is_a_growing_bar(status):
     rows = ticks(3000, 3999)
     status.take_ticks(Delivery(encode_rows(TICKS, rows), envelope=None))
     assert "▃█" in status.line(200)
+
+
+def test_without_a_shim_the_bars_are_the_age_of_answers_that_are_used_as_they_came():
+    direct = Status(duration=5.0)
+    for source, age_ms in ((4, 900), (1, 30), (2, 900), (0, 1)):
+        rows = ticks(0, 99, source=source, projector_age_ns=age_ms * MS)
+        direct.take_ticks(Delivery(encode_rows(TICKS, rows), envelope=None))
+    assert "link up - down - ms ▄▁  " in direct.line(200)
 
 
 def test_what_is_lost_is_called_so(status):
