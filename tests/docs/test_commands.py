@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import re
 import shlex
@@ -11,9 +10,12 @@ from pathlib import Path
 import pytest
 
 import benchmarks.__main__
+import deploy.control
+import deploy.up
 import experiments.__main__
 import netem.__main__
-from shared.cli import Parser
+import viewer.__main__
+from shared.cli import Parser, config_from
 from shared.config import RunConfig
 from shared.config_file import load_config, tomllib
 
@@ -23,33 +25,42 @@ PROGRAMS = {
     "experiments": experiments.__main__._COMMANDS,
     "netem": netem.__main__._COMMANDS,
     "benchmarks": benchmarks.__main__._COMMANDS,
+    "viewer": viewer.__main__._COMMANDS,
+    "deploy": deploy.control._COMMANDS,
 }
-SHOWN = r"python -m (experiments|netem|benchmarks) ([a-z-]+)"
+MODULE = r"python -m (experiments|netem|benchmarks|viewer) ([a-z-]+)"
+SHOWN = rf"{MODULE}|\./(deploy)/(up|ps|logs|restart|down)\b"
 
 
 def shown_in_full():
-    """Command lines of `sh` blocks: the page, the program, the command and its arguments."""
+    """Command lines of `sh` blocks: the program, the command and its arguments."""
     for page in PAGES:
         for block in re.findall(r"^ *```sh\n(.*?)^ *```", page.read_text(), re.DOTALL | re.M):
             for line in block.replace("\\\n", " ").splitlines():
                 if found := re.search(SHOWN, line):
+                    program, name = (each for each in found.groups() if each is not None)
                     rest = shlex.split(line[found.end() :], comments=True)
-                    yield pytest.param(found[1], found[2], rest, id=f"{page.stem}: {found[2]}")
+                    yield pytest.param(program, name, rest, id=f"{page.stem}: {name}")
 
 
 @pytest.mark.parametrize(("program", "name", "arguments"), shown_in_full())
 def test_a_command_line_is_understood(program, name, arguments):
-    (command,) = [each for each in PROGRAMS[program] if each.name == name]
-    parser = Parser()
-    command.add_arguments(parser)
-    assert isinstance(parser.parse_args(arguments), argparse.Namespace)
+    if name == "up":
+        parser = deploy.up._parser("")
+    else:
+        (command,) = [each for each in PROGRAMS[program] if each.name == name]
+        parser = Parser()
+        command.add_arguments(parser)
+    parsed = parser.parse_args(arguments)
+    if name in ("up", "trial") and parsed.config is None:
+        config_from(parsed)
 
 
 def test_a_command_that_is_mentioned_exists():
     unknown = [
         f"{page.name}: {found[0]}"
         for page in PAGES
-        for found in re.finditer(SHOWN, page.read_text())
+        for found in re.finditer(MODULE, page.read_text())
         if found[2] not in [command.name for command in PROGRAMS[found[1]]]
     ]
     assert unknown == []
