@@ -38,6 +38,8 @@ from viewer.recorder import Recorder
 from viewer.track import Colour
 
 GHOST_COLOUR = (90, 160, 255, 64)
+# So that it is inside the robot where the two are at the same place.
+GHOST_SCALE = 0.985
 _FOOT_COLOURS: dict[Foot, Colour] = {Foot.LEFT: ORANGE, Foot.RIGHT: CYAN}
 # Above the ground, which has a grid at zero, and below what moves [m].
 _PRINT_HEIGHT = 0.001
@@ -99,7 +101,7 @@ def log_robot(
             rr.CoordinateFrame(f"{frame}/{mesh.name}"),
             rr.Transform3D(
                 translation=placement.translation,
-                mat3x3=placement.rotation,
+                mat3x3=placement.rotation * (GHOST_SCALE if ghost else 1.0),
                 parent_frame=frame,
                 child_frame=f"{frame}/{mesh.name}",
             ),
