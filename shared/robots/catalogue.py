@@ -27,7 +27,7 @@ _TALOS_SETTINGS: dict[str, Any] = {
     "robot": {"torque_clamp": 1.0},
     "wbc": {
         # Romeo's 1e-5 over the square of the ratio of their masses, as N² are weighed against
-        # (m/s²)². With 1e-5 even forces count for more than the CoM, and Talos leans over.
+        # (m/s²)². With 1e-5 even forces count nearly as much as the CoM, and Talos leans over.
         "weights": {"force": 2e-6},
         # Half of what fells it: with 30 and LA at 25 ms a foot that lands, or is unloaded by the
         # push, rolls from edge to edge.

@@ -17,7 +17,7 @@ from shared.bus.base import Delivery
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config import RunConfig
 from shared.config_file import load_config
-from shared.robots import load_robot
+from shared.robots import CATALOGUE, load_robot
 from shared.telemetry import read_parquet
 from shared.wire.channels import DOWNLINK
 from tests.live.conftest import Process, descendants_naming
@@ -42,10 +42,12 @@ SUMMARY_KEYS = {
 }
 
 
-def test_up_balances_and_leaves_every_file(start: Start, tmp_path: Path) -> None:
+@pytest.mark.parametrize("robot", CATALOGUE)
+def test_up_balances_and_leaves_every_file(start: Start, tmp_path: Path, robot: str) -> None:
     out = tmp_path / "run"
     up = start(
         "deploy.up",
+        *("--robot", robot),
         *("--view", "off", "--duration", "1.5", "--network", "constant:10ms"),
         *("--push", "none", "--out", str(out)),
     )
