@@ -20,7 +20,7 @@ from rerun.experimental import ViewerClient
 from shared.errors import UserError
 from viewer.plots import BLUE, CYAN, GREEN, ORANGE, PURPLE, RED, YELLOW
 from viewer.recorder import TIMELINE
-from viewer.recording import save
+from viewer.recording import save, title
 from viewer.rerun_process import HOST, RerunProcess, free_port
 from viewer.run_folder import RunFolder, read_run
 
@@ -45,7 +45,7 @@ def picture(paths: Sequence[Path], out: Path, *, at: float | None = None) -> Non
     if out.suffix != ".png":
         raise UserError(f"--out: expected a name ending in .png, got {out}")
     runs = [read_run(path) for path in paths]
-    duration = max(run.duration for run in runs)
+    duration = _duration(runs)
     at = duration if at is None else at
     if not 0.0 <= at <= duration:
         raise UserError(f"--at: expected a time in the run, 0 to {duration:.3f} s, got {at:g}")
@@ -64,7 +64,7 @@ def animation(
     if not (math.isfinite(speed) and speed > 0.0):
         raise UserError(f"--speed: expected a number above 0, got {speed:g}")
     runs = [read_run(path) for path in paths]
-    duration = max(run.duration for run in runs)
+    duration = _duration(runs)
     end = duration if end is None else end
     if not 0.0 <= begin < end <= duration:
         raise UserError(
@@ -88,6 +88,14 @@ def animation(
     else:
         options |= {"quality": 60, "method": 4}
     _write(frames[0], out, append_images=frames[1:], **options)
+
+
+def _duration(runs: Sequence[RunFolder]) -> float:
+    """Of the longest run [s]; `UserError` if none of them has anything to show."""
+    duration = max(run.duration for run in runs)
+    if duration <= 0.0:
+        raise UserError(f"snapshot: the task of {title(runs)} never began; nothing to draw")
+    return duration
 
 
 def _palette(frame: Image.Image) -> Image.Image:

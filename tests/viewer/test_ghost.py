@@ -86,3 +86,4 @@ def test_the_ghost_ends_a_walk_as_early_as_the_robot_does(
     soles = WholeBodyModel(robot).sole_placements(q)
     apart = soles[Foot.LEFT].translation - soles[Foot.RIGHT].translation
     assert abs(apart[0]) < 1e-3, "the last step brings the feet together"
+    assert max(abs(sole.translation[2]) for sole in soles.values()) < NEAR

@@ -13,8 +13,12 @@ from PIL import Image
 from experiments.lockstep import Lockstep
 from experiments.trial import write_run
 from shared.config import RunConfig
+from shared.config_file import dump_config
 from shared.errors import UserError
+from shared.robots import Robot
+from shared.telemetry import write_parquet
 from tests.viewer.reading import entities
+from tests.viewer.synthetic import tick_rows
 from viewer.recording import save
 from viewer.run_folder import read_run
 from viewer.show import show
@@ -105,6 +109,13 @@ def test_pictures_that_cannot_be_are_refused_before_anything_is_drawn(
     with pytest.raises(UserError, match=told):
         make(runs["la"], tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_never_began_has_no_pictures(robot: Robot, tmp_path: Path) -> None:
+    (tmp_path / "config.toml").write_text(dump_config(RunConfig(), versions={}))
+    write_parquet(*tick_rows(robot, 20, waiting=100), tmp_path / "telemetry.parquet")
+    with pytest.raises(UserError, match="never began"):
+        picture([tmp_path], tmp_path / "x.png")
 
 
 def film(run: Path, out: Path, *, begin: float = 0.0, speed: float = 1.0) -> None:
