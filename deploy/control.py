@@ -18,15 +18,13 @@ from pathlib import Path
 from deploy.orders import order_restart
 from deploy.registry import Registry
 from deploy.services import load_services
-from deploy.state import ENDED, StackFolder, StackState
+from deploy.state import ENDED, EXIT_INTERRUPTED, StackFolder, StackState
 from deploy.terminal import Terminal, said
 from shared.cli import EXIT_ERROR, EXIT_STANDING, Command, run, run_command
 from shared.errors import ConfigError, LinkError
 
-# What `down` was asked to do is no failure.
-_INTERRUPTED = 130
 _POLL_SECONDS = 0.1
-# Beyond what the services themselves may take to start or to end; a recording takes a while.
+# Beyond what the services themselves may take to start or to end.
 _PATIENCE_SECONDS = 120.0
 
 Found = list[tuple[StackFolder, StackState]]
@@ -187,17 +185,19 @@ def down(arguments: argparse.Namespace) -> int:
         print(_told(stack, state, alive=False, now=time.time())[0])
         if state.state != ENDED:
             codes.append(EXIT_ERROR)
-        elif state.exit_code not in (None, _INTERRUPTED):
+        # What was asked for is no failure.
+        elif state.exit_code not in (None, EXIT_INTERRUPTED):
             codes.append(state.exit_code)
     return max(codes)
 
 
 def _wait_for_end(stack: StackFolder, state: StackState) -> None:
-    deadline = time.monotonic() + _PATIENCE_SECONDS
+    patience = _PATIENCE_SECONDS + max(each.stop_seconds for each in load_services().values())
+    deadline = time.monotonic() + patience
     while stack.alive:
         if time.monotonic() > deadline:
             raise LinkError(
-                f"{stack.run} (pid {state.pid}) does not end within {_PATIENCE_SECONDS:g} s; "
+                f"{stack.run} (pid {state.pid}) does not end within {patience:g} s; "
                 f"kill -9 {state.pid} ends it with its services"
             )
         time.sleep(_POLL_SECONDS)

@@ -58,9 +58,14 @@ class Plan:
     notes: tuple[str, ...]
     opens: Endpoint | None = None
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the services."""
+        return tuple(step.name for step in self.steps)
+
     def has(self, name: str) -> bool:
         """Whether a service is among them."""
-        return any(step.name == name for step in self.steps)
+        return name in self.names
 
 
 def services_of(

@@ -24,19 +24,20 @@ class Registry:
     def __init__(self, folder: Path = ROOT) -> None:
         self._folder = folder
 
-    def add(self, run: Path, *, robot: str, services: tuple[str, ...]) -> None:
-        """Enter a stack; `ConfigError` if one of the same robot with one of its services runs.
+    def check(self, run: Path | None, *, robot: str, services: tuple[str, ...]) -> None:
+        """`ConfigError` if another stack than `run` has this robot and one of these services."""
+        for stack, state in self.found(robot=robot):
+            both = [name for name in services if name in state.named]
+            if both and stack.alive and (run is None or stack.run != run.resolve()):
+                raise ConfigError(
+                    f"up: {', '.join(both)} of {robot} run already (pid {state.pid}, "
+                    f"{stack.run}); ./deploy/down ends them, --name starts another robot"
+                )
 
-        The caller holds the lock of its own folder already.
-        """
+    def add(self, run: Path, *, robot: str, services: tuple[str, ...]) -> None:
+        """Enter a stack that holds the lock of its own folder already; checked as `check` does."""
         with self._locked():
-            for stack, state in self.found(robot=robot):
-                both = [name for name in services if name in state.named]
-                if both and stack.alive and stack.run != run.resolve():
-                    raise ConfigError(
-                        f"up: {', '.join(both)} of {robot} run already (pid {state.pid}, "
-                        f"{stack.run}); ./deploy/down ends them, --name starts another robot"
-                    )
+            self.check(run, robot=robot, services=services)
             link = self._folder / f"{robot}.{'+'.join(services)}"
             new = link.with_name(f".{link.name}.{os.getpid()}")
             new.symlink_to(run.resolve(), target_is_directory=True)

@@ -20,7 +20,15 @@ from deploy.outcome import keep_report, record, summarise
 from deploy.plan import ROBOT, VIEWER, Plan, Step
 from deploy.registry import Registry
 from deploy.services import IGNORED, OUTCOME, Service
-from deploy.state import ENDED, READY, STARTING, STOPPING, StackFolder, StackState
+from deploy.state import (
+    ENDED,
+    EXIT_INTERRUPTED,
+    READY,
+    STARTING,
+    STOPPING,
+    StackFolder,
+    StackState,
+)
 from deploy.supervisor import Launch, Supervisor
 from deploy.terminal import Terminal
 from deploy.watch import open_hub, status_of, tell
@@ -30,7 +38,6 @@ from shared.errors import LinkError, UserError
 from shared.report import summary_in_words
 
 _STATUS_SECONDS = 0.1
-EXIT_INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
@@ -63,13 +70,15 @@ class Stack:
         )
         self._watched = run.plan.has(VIEWER)
         self._restarted: list[str] = []
+        # Of the terminal of whoever has started us in the background.
+        self._let_go = False
         self._stop = asyncio.Event()
         # Without a robot here nothing comes to an end by itself: to be stopped is no failure.
         self._stopped_code = EXIT_INTERRUPTED if run.plan.has(ROBOT) else EXIT_STANDING
         self._state = StackState(
             pid=os.getpid(),
             robot=run.name or run.config.robot.name,
-            named=tuple(step.name for step in run.plan.steps),
+            named=run.plan.names,
             state=STARTING,
             since=time.time(),
         )
@@ -106,7 +115,9 @@ class Stack:
                 yield
                 ended = {}
             except UserError as error:
-                self._terminal.note(f"error: {error}")
+                # Standard error is the log itself by then.
+                if not self._let_go:
+                    self._terminal.note(f"error: {error}")
                 ended = {"outcome": str(error), "exit_code": EXIT_ERROR}
                 raise
             finally:
@@ -129,10 +140,10 @@ class Stack:
                 self._say(step.name, f"going on without it: {error}")
                 self._watched = False
         self._put(READY)
-        self._let_go()
+        self._tell_ready()
         return await self._watch()
 
-    def _let_go(self) -> None:
+    def _tell_ready(self) -> None:
         """In the background, whoever has started us need not wait any longer."""
         if self._run.ready_fd is None:
             if not self._run.plan.has(ROBOT):
@@ -142,6 +153,7 @@ class Stack:
         self._terminal.leave()
         with self._folder.log.open("ab") as errors:
             tell_ready(self._run.ready_fd, errors.fileno())
+        self._let_go = True
 
     async def _watch(self) -> int:
         ending = asyncio.create_task(self._supervisor.wait())
@@ -214,8 +226,10 @@ class Stack:
         result = summarise(self._out, self._run.config)
         outcome = "stopped"
         if result is not None:
-            # A view that was started again has recorded its last life only.
-            if VIEWER in self._restarted or not (self._out / "recording.rrd").exists():
+            # A view that was started again has recorded its last life only. In the background
+            # nobody waits to look at it, but somebody for the end.
+            whole = (self._out / "recording.rrd").exists() and VIEWER not in self._restarted
+            if not whole and self._run.ready_fd is None:
                 record(self._out, lambda line: self._say(VIEWER, line))
             told = summary_in_words(result)
             outcome = told.splitlines()[0]

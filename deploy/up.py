@@ -32,6 +32,7 @@ from deploy.plan import (
     make_plan,
     services_of,
 )
+from deploy.registry import Registry
 from deploy.services import load_services
 from deploy.stack import Run, Stack
 from netem.networks import load_network
@@ -71,8 +72,11 @@ def main() -> int:
     view = _resolve_view(config.view) if VIEWER in services else "off"
     telemetry, *ports = _free_ports(3)
     plan = make_plan(options, chosen, view=view, free_port=iter(ports).__next__)
-    check_credentials(plan, robot=arguments.name or config.robot.name)
+    robot = arguments.name or config.robot.name
+    check_credentials(plan, robot=robot)
     _check_port(plan)
+    if arguments.detach:
+        Registry().check(None, robot=robot, services=plan.names)
     out = _run_folder(arguments.out, config, services)
     text = dump_config(config, versions=versions())
     (out / "config.toml").write_text(text, encoding="utf-8")
@@ -80,11 +84,7 @@ def main() -> int:
         print("no screen: the run is recorded, not shown (--view web for a browser)", flush=True)
     hub = f"tcp/127.0.0.1:{telemetry}"
     described = Run(config, plan, out, hub, arguments.name, arguments.ready_fd)
-    return asyncio.run(_play(described))
-
-
-async def _play(described: Run) -> int:
-    return await Stack(described).run()
+    return asyncio.run(Stack(described).run())
 
 
 def _parser(services: str) -> Parser:

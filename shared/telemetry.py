@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -233,13 +233,13 @@ def write_parquet(schema: Schema, rows: np.ndarray, path: Path) -> None:
             writer.write_table(pa.table(arrays, schema=arrow_schema))
 
 
-def read_parquet(path: Path) -> tuple[Schema, np.ndarray]:
-    """Schema and rows of a table that `write_parquet` wrote."""
+def read_parquet(path: Path, *, columns: Sequence[str] | None = None) -> tuple[Schema, np.ndarray]:
+    """Schema and rows of a table that `write_parquet` wrote, or of some of its columns."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pq.read_table(path)
-    columns, parts = [], []
+    table = pq.read_table(path, columns=None if columns is None else list(columns))
+    read, parts = [], []
     for name in table.column_names:
         array = table[name].combine_chunks()
         kind = array.type
@@ -247,6 +247,6 @@ def read_parquet(path: Path) -> tuple[Schema, np.ndarray]:
         if pa.types.is_fixed_size_list(kind):
             width, kind = kind.list_size, kind.value_type
             array = array.flatten()
-        columns.append(Column(name, width, str(kind).replace("double", "float64")))
+        read.append(Column(name, width, str(kind).replace("double", "float64")))
         parts.append(array.to_numpy(zero_copy_only=False).astype(np.float64).reshape(-1, width))
-    return Schema(*columns), np.hstack(parts)
+    return Schema(*read), np.hstack(parts)

@@ -47,6 +47,8 @@ def test_lives_of_a_service_that_was_started_again_count_together(tmp_path: Path
     assert result["edge_solves"] == {"solved": 310}
     assert result["edge_solve_ms"]["p50"] == 5.0
     assert json.loads((tmp_path / "summary.json").read_text())["fell"] is False
+    # All ten ticks are the first one here, whose state the edges have solved.
+    assert result["active_set_discrepancy"]["ticks"] == [10]
     # Its parts are in the summary; the rows stay.
     left = {file.name for file in tmp_path.iterdir()}
     rows = {"edge.1.parquet", "edge.2.parquet", "edge.parquet", "telemetry.parquet"}

@@ -102,6 +102,7 @@ def test_a_stack_in_the_background_from_its_start_to_its_end(start: Start, tmp_p
     second = up(*QUIET, "--out", str(tmp_path / "second"))
     assert second.returncode == 2
     assert f"edge, netem, robot of {NAME} run already" in second.stderr
+    assert not (tmp_path / "second").exists()
     assert len(second.stderr.splitlines()) == 1
 
     following = start("deploy.control", "logs", "-f", "robot", "--run", str(run))

@@ -214,3 +214,12 @@ def test_a_file_that_is_full_takes_no_more_rows_and_watchers_see_them_all(tmp_pa
     np.testing.assert_array_equal(log.rows(), expected(count)[:at_most])
     blocks = [decode_rows(data)[1] for data in received]
     np.testing.assert_array_equal(np.vstack(blocks), expected(count))
+
+
+def test_some_columns_of_a_table_are_read_without_the_others(tmp_path):
+    rows = np.arange(12.0).reshape(2, 6)
+    schema = Schema(Column("a"), Column("b", 4), Column("c", kind="int64"))
+    write_parquet(schema, rows, tmp_path / "x.parquet")
+    some, values = read_parquet(tmp_path / "x.parquet", columns=["c", "b"])
+    assert_same_schema(some, Schema(Column("c", kind="int64"), Column("b", 4)))
+    np.testing.assert_array_equal(values, rows[:, [5, 1, 2, 3, 4]])
