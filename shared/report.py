@@ -224,12 +224,16 @@ def summary_in_words(summary: dict[str, Any]) -> str:
     slip, wait = summary["foot_slip_mm"], summary["switch_to_fresh_ms"]
     discrepancy = summary["active_set_discrepancy"]
     differs = (
-        ""
+        []
         if discrepancy["mean"] is None
-        else f"; active set differs in {_number(discrepancy['mean'], 'rows')} on average, at most "
-        f"{_number(discrepancy['max'], 'rows', digits=0)}"
+        else [
+            f"active set differs in {_number(discrepancy['mean'], 'rows')} on average, at most "
+            f"{_number(discrepancy['max'], 'rows', digits=0)}"
+        ]
     )
-    lines.append(f"  foot slip at most {_number(slip['max'], 'mm')} in a stance{differs}")
+    slid = f"foot slip at most {_number(slip['max'], 'mm')} in a stance"
+    if told := [*([] if summary["fell"] else [slid]), *differs]:
+        lines.append(f"  {'; '.join(told)}")
     if summary["task"] == "walk":
         lines.append(
             f"  contact switch to first fresh projector p50 {_number(wait['p50'], 'ms')}, max "

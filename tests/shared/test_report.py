@@ -208,6 +208,9 @@ def test_a_summary_is_told_in_words_even_where_a_part_is_missing():
         discrepancy=None,
     )
     assert summary_in_words(fell).startswith("FELL after 0.02 s")
+    # A foot that is thrown about has not slipped.
+    assert "slip" in words
+    assert "slip" not in summary_in_words(fell)
 
 
 def test_versions_name_what_results_depend_on():
