@@ -124,6 +124,10 @@ def _draw(runs: Sequence[RunFolder], times: Sequence[float]) -> Iterator[Image.I
         try:
             url = f"rerun+http://{HOST}:{port}/proxy"
             reason = rerun.wait(lambda started: _loaded(url, times[-1]), timeout=_LOAD_TIMEOUT)
+            if reason is not None and rerun.running:
+                raise UserError(
+                    f"snapshot: rerun read no run within {_LOAD_TIMEOUT:g} s; try again"
+                )
             if reason is not None:
                 raise UserError(_GRAPHICS.format(reason=reason))
             client = ViewerClient(url)
