@@ -147,6 +147,13 @@ def test_one_that_has_ended_makes_room_and_a_folder_that_is_gone_is_forgotten(kn
     assert known.found(robot="amy") == []
 
 
+def test_while_one_runs_those_that_have_ended_are_not_meant(known, running, tmp_path):
+    known.add(written(tmp_path / "old").run, robot="amy", services=("edge",))
+    stack = running(robot="ben")
+    known.add(stack.run, robot="ben", services=("edge", "robot"))
+    assert [each.run for each, _ in known.current()] == [stack.run]
+
+
 def test_of_several_stacks_one_has_to_be_named(known, running):
     for name in ("amy", "ben"):
         known.add(running(name, robot=name).run, robot=name, services=("edge", "robot"))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import sys
 
 from deploy.terminal import Terminal, said
@@ -49,3 +50,11 @@ def test_a_line_of_a_copy_is_known_by_who_said_it():
     assert said(" robot | 1.00 s: a | b") == ("robot", "1.00 s: a | b")
     assert said("Stands after 5.00 s") is None
     assert said("  CoM error 1.2 cm") is None
+
+
+def test_elsewhere_a_status_is_said_again_only_when_it_is_another(monkeypatch, capsys):
+    monkeypatch.setattr("time.monotonic", itertools.count(0, 2).__next__)
+    terminal = Terminal()
+    for status in ("waiting", "waiting", "t 1 s"):
+        terminal.show(status)
+    assert capsys.readouterr().out == "status | waiting\nstatus | t 1 s\n"
