@@ -77,7 +77,7 @@ def test_robot_and_edge_meet_at_a_router_that_comes_back_after_it_was_gone(
     edge.wait_for("READY")
     robot = start(
         *("robot_node", "--connect", endpoints[0], "--name", "amy"),
-        *("--controller", "lc", "--duration", "8", "--push", "none"),
+        *("--controller", "lc", "--duration", "15", "--push", "none"),
     )
     robot.wait_for("the task begins")
     first.signal(signal.SIGTERM)
