@@ -118,12 +118,13 @@ def check_random(key: str, spec: Any) -> None:
 
 
 def flattened(table: Any, where: str) -> dict[str, Any]:
-    """Tables in tables as dotted keys; one with a `kind` is a value."""
+    """Tables in tables as dotted keys; one with a `kind` in [random] is what to draw."""
     if not isinstance(table, dict):
         raise ConfigError(f"{where}: expected a table of settings, got {table!r}")
     flat: dict[str, Any] = {}
     for key, value in table.items():
-        nested = isinstance(value, dict) and "kind" not in value
+        drawn = where.startswith("random") and isinstance(value, dict) and "kind" in value
+        nested = isinstance(value, dict) and not drawn
         below = flattened(value, f"{where}.{key}") if nested else {"": value}
         for rest, leaf in below.items():
             dotted = f"{key}.{rest}" if rest else key

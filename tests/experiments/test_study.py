@@ -52,6 +52,14 @@ def test_without_grid_and_cells_there_is_one_cell(study_of):
     assert str(study.cells[0]) == "the only cell"
 
 
+def test_a_setting_of_a_table_that_has_a_kind_is_a_setting_like_any_other(study_of):
+    study = study_of(
+        '[[cells]]\nname = "as it is"\n[[cells]]\nname = "rigid"\nplant.kind = "rigid"'
+    )
+    assert [trial.label["plant.kind"] for trial in study.trials[:2]] == ["mujoco", "rigid"]
+    assert [trial.config.plant.kind for trial in study.trials[:2]] == ["mujoco", "rigid"]
+
+
 def test_a_value_may_be_a_list_in_the_base_and_in_the_grid(study_of):
     push = '"100N@1.0s:0.2s:+y"'
     in_base = study_of(f"[base]\npush = [{push}]")
