@@ -216,9 +216,9 @@ def test_shipped_studies_can_be_played(name):
 
 
 def test_the_walk_over_constant_delays_has_a_computer_on_board_as_slow_as_the_link():
-    trials = read_study("walk-constant", seeds=1).trials
+    trials = read_study("table3", seeds=1).trials
     configs = [trial.config for trial in trials if trial.config.controller == "la"]
     delays = [config.link.network.partition(":")[2] for config in configs]
-    assert delays == ["0ms", "3ms", "5ms", "25ms", "60ms"]
+    assert delays == ["0ms", "3ms", "5ms", "25ms", "60ms", "100ms"]
     for delay, config in zip(delays, configs, strict=True):
         assert config.switch.ready_after_ns(0) == int(delay.removesuffix("ms")) * 1_000_000

@@ -98,5 +98,5 @@ def test_a_study_without_quick_has_no_quick_form(study_of):
 
 
 def test_an_unknown_study_lists_those_shipped():
-    with pytest.raises(ConfigError, match=r"corrected-profiles, .*walk-constant.*got 'wolk'"):
+    with pytest.raises(ConfigError, match=r"corrected-push, .*table4, .*got 'wolk'"):
         read_study("wolk")
