@@ -12,19 +12,43 @@ import pinocchio as pin
 import pytest
 
 from robot_node.plant import MujocoPlant, from_mujoco, to_mujoco, world_from_base
+from shared.motion.reference import Standing
 from shared.robots import CATALOGUE, load_robot
 from shared.wbc.contacts import ContactMode
+from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import solve
 from shared.wbc.qp import DaqpSolver
+from shared.wbc.stack import Stack
 from shared.wbc.torque import recover_torque
-from tests.states import random_state
+from tests.states import random_state, random_states
 
 TOLERANCE = 1e-9
 
 
-@pytest.fixture(scope="session", params=list(CATALOGUE))
+# What tests/conftest.py makes once for Romeo is made here for each robot.
+@pytest.fixture(scope="module", params=list(CATALOGUE))
 def robot(request):
     return load_robot(request.param)
+
+
+@pytest.fixture(scope="module")
+def model(robot):
+    return WholeBodyModel(robot)
+
+
+@pytest.fixture(scope="module")
+def reference(robot):
+    return Standing(robot).reference(0)
+
+
+@pytest.fixture(scope="module")
+def stacks(robot, config):
+    return {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+
+
+@pytest.fixture(scope="module")
+def states(robot):
+    return random_states(robot, count=50, rng=np.random.default_rng(20))
 
 
 @pytest.fixture(scope="module")
