@@ -20,9 +20,6 @@ from pymdownx.superfences import SuperFencesException
 
 ROOT = Path(__file__).parents[1]
 _OUTSIDE = re.compile(r"\]\(((?:\.\./)+[^)#\s]+)")
-# Written by `python -m experiments report` and `sweep`: a checkout may be without them.
-_PLAYED = ("results.md", "results/sensitivity-balance.txt", "results/sensitivity-walk.txt")
-_NOT_PLAYED = "# Not played yet\n\nThis page is not in this checkout.\n"
 _LANGUAGES = {".py": "python", ".toml": "toml", ".yaml": "yaml", ".yml": "yaml", ".md": "markdown"}
 
 
@@ -45,9 +42,6 @@ def mathml(source: str, *arguments: Any, **options: Any) -> str:
 
 def on_files(files: Files, *, config: MkDocsConfig) -> None:
     """Add a page for every file outside of docs/ that a page links to."""
-    for name in _PLAYED:
-        if files.get_file_from_path(name) is None:
-            files.append(File.generated(config, name, content=_NOT_PLAYED))
     for page in list(files.documentation_pages()):
         for link in _OUTSIDE.findall(page.content_string):
             path = _linked(page.src_uri, link)
