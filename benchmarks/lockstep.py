@@ -25,6 +25,7 @@ from experiments.lockstep import Lockstep
 from experiments.reproduction.timed_walk import timed
 from shared.config import TASKS
 from shared.config_file import load_config
+from shared.text_table import aligned
 
 _NETWORK = "constant:25ms"
 _CONTROLLERS = ("pr", "la", "lc")
@@ -61,11 +62,9 @@ def run(*, repetitions: int, seconds: float | None) -> str:
             timed_trial(task, controller, seconds=0.2)  # warms caches and imports
             each = [timed_trial(task, controller, seconds=seconds) for _ in range(repetitions)]
             lines.append(_line(f"{task}, {controller.upper()}", each))
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    table = ["  ".join(c.rjust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
     length = "whole trials" if seconds is None else f"trials of {seconds:g} s"
     told = f"{length} over {_NETWORK}, medians of {repetitions}; by part the mean of all ticks"
-    return "\n".join([f"{top}; {told}", "", *table])
+    return "\n".join([f"{top}; {told}", "", *aligned(lines, left=0)])
 
 
 def timed_trial(task: str, controller: str, *, seconds: float | None) -> TrialTime:

@@ -14,12 +14,11 @@ os.environ.pop("ZENOH_RUNTIME", None)
 
 # isort: split
 import time
-from pathlib import Path
 
-from shared.bus.security import DEFAULT_FOLDER, ROUTER, Credentials
+from shared.bus.security import ROUTER, Credentials
 from shared.bus.zenoh_bus import ZenohBus
 from shared.cli import EXIT_STANDING, Parser, run
-from shared.service import StopSignal
+from shared.service import StopSignal, add_secure_argument
 from shared.wire.channels import DOWNLINK
 
 _ENDPOINT = "tcp/127.0.0.1:7447"
@@ -31,14 +30,7 @@ def main() -> int:
     parser.add_argument(
         "--listen", metavar="ENDPOINT", default=_ENDPOINT, help="(default %(default)s)"
     )
-    parser.add_argument(
-        "--secure",
-        metavar="DIR",
-        nargs="?",
-        type=Path,
-        const=Path(DEFAULT_FOLDER),
-        help="mutual TLS and access control, with the certificates in DIR (default %(const)s)",
-    )
+    add_secure_argument(parser)
     arguments = parser.parse_args()
     credentials = None
     admits = "everybody"

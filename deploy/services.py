@@ -20,17 +20,12 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from shared.errors import ConfigError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:  # pragma: no cover
-    import tomli as tomllib
+from shared.toml_file import read_toml
 
 FILE = Path(__file__).with_name("services.toml")
 OUTCOME, FAILURE, IGNORED = "outcome", "failure", "ignored"
@@ -64,12 +59,7 @@ class Service:
 
 def load_services(path: Path = FILE) -> dict[str, Service]:
     """The services by name, in the order of the file. `ConfigError` says what cannot be used."""
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"services: cannot read {path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"services: {path} is not valid TOML: {error}") from None
+    tables = read_toml(path, what="services")
     defaults = tables.pop("defaults", {})
     services = {name: _service(name, defaults, table) for name, table in tables.items()}
     for service in services.values():

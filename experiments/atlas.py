@@ -30,6 +30,7 @@ from shared.config_file import load_config
 from shared.errors import ConfigError
 from shared.quantities import parse_duration_ns, parse_push
 from shared.robots import load_robot
+from shared.text_table import aligned
 
 DEFAULT_DELAYS = "0ms,10ms,25ms,50ms,90ms,150ms,200ms,400ms"
 # To the side, where the feet are long enough to show a margin; a walk meets it within its third
@@ -163,9 +164,7 @@ def in_words(squares: list[Row]) -> str:
         found = [counts[controller, force, delay] for delay in delays]
         told = [f"{square['fell']}/{square['played']}" for square in found]
         lines.append([controller.upper(), f"{force:g} N", *told])
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    table = ["  ".join(c.rjust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
-    return "\n".join(["fell of those played, over the round trip", *table])
+    return "\n".join(["fell of those played, over the round trip", *aligned(lines, left=0)])
 
 
 def _shown(row: Row) -> Row:

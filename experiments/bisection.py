@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from experiments.dealing import Study, value_in_words
-from experiments.trial_table import aligned, errors_in_words
+from experiments.trial_table import errors_in_words
 from shared.errors import ConfigError
+from shared.text_table import aligned
 
 
 @dataclass(frozen=True)

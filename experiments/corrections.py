@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from shared.config_file import load_config
+from shared.figure import save_figure
 from shared.motion.plan import make_motion
 from shared.motion.reference import Reference
 from shared.report import versions
@@ -175,9 +176,7 @@ def run_corrections(arguments: argparse.Namespace) -> int:
         ylabel="spectral radius of K₀ (M − M₀)",
     )
     axes[2].legend(fontsize=8)
-    figure.tight_layout()
-    figure.savefig(arguments.out / "corrections.png", dpi=110)
-    plt.close(figure)
+    save_figure(figure, arguments.out / "corrections.png", what="out")
     made = versions()
     lines += [
         "",

@@ -17,6 +17,7 @@ from experiments.dealing import value_in_words
 from experiments.trial_table import read_trials, wilson_interval
 from shared.cli import EXIT_STANDING
 from shared.errors import ConfigError
+from shared.figure import save_figure
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -101,14 +102,7 @@ def draw_figure(
             line[0].set_ylabel(f"part that {column}, 95 %" if column in _PARTS else column)
     if by and not as_map:
         axes[0, 0].legend(fontsize=8)
-    figure.tight_layout()
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(out, dpi=110)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"figure: cannot write {out}: {error}") from None
-    finally:
-        plt.close(figure)
+    save_figure(figure, out, what="figure")
 
 
 def _groups(rows: Sequence[Row], name: str | None) -> dict[str, list[Row]]:

@@ -48,7 +48,6 @@ solved after the trial, so that the discrepancy of the active set is known at ev
 from __future__ import annotations
 
 import itertools
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -63,11 +62,7 @@ from experiments.study_tables import (
 )
 from shared.errors import ConfigError
 from shared.report import SOURCES
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:  # pragma: no cover
-    import tomli as tomllib
+from shared.toml_file import read_toml
 
 SHIPPED = Path(__file__).parent / "configs"
 DEFAULT_SEEDS = 20
@@ -100,12 +95,7 @@ def read_study(source: str | Path, *, seeds: int | None = None, quick: bool = Fa
             f"study: expected a shipped study ({shipped}) or a TOML file, got {str(source)!r}: "
             "no such study or file"
         )
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"study: cannot read {path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"study: {path} is not valid TOML: {error}") from None
+    table = read_toml(path, what="study")
     table.setdefault("name", path.stem)
     return make_study(table, seeds=seeds, quick=quick)
 

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from experiments.course import Trial
 from experiments.dealing import value_in_words
 from shared.errors import ConfigError
+from shared.text_table import aligned
 
 # Counters by reason: a reason that never came is not there.
 _OPEN_COUNTERS = ("edge_solves.", "link.uplink.refused.", "link.downlink.refused.")
@@ -93,13 +94,6 @@ def table_in_words(rows: Sequence[dict[str, Any]], settings: Sequence[str]) -> s
             means.append(_number(sum(values) / len(values)) if values else "-")
         lines.append([*named, *stood, *means])
     return "\n".join([*aligned(lines), *errors_in_words(rows)])
-
-
-def aligned(lines: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of cells in columns, the first line their headings."""
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    padded = [[c.ljust(w) for c, w in zip(line, widths, strict=True)] for line in lines]
-    return ["  ".join(line).rstrip() for line in padded]
 
 
 def errors_in_words(rows: Sequence[dict[str, Any]]) -> list[str]:

@@ -158,6 +158,8 @@ def _plot(profile: DelayProfile, path: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
+    from shared.figure import save_figure
+
     capacities = [f"{way}_capacity_bytes" for way in DIRECTIONS]
     known = [name for name in capacities if name in profile.columns]
     figure, axes = plt.subplots(
@@ -180,11 +182,4 @@ def _plot(profile: DelayProfile, path: Path) -> None:
     axes[-1, 0].set_xlabel("sending time [s]")
     for axis in axes[:, 0]:
         axis.grid(alpha=0.3)
-    figure.tight_layout()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise ProfileError(f"plot: cannot write {path}: {error}") from None
-    finally:
-        plt.close(figure)
+    save_figure(figure, path, what="plot")

@@ -6,7 +6,6 @@ An unknown key or a value of the wrong type is a `ConfigError` that names what i
 from __future__ import annotations
 
 import dataclasses
-import sys
 import types
 import typing
 from collections.abc import Mapping
@@ -18,11 +17,7 @@ import tomli_w
 from shared.config import RobotConfig, RunConfig
 from shared.errors import ConfigError
 from shared.robots import description_of
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:  # pragma: no cover
-    import tomli as tomllib
+from shared.toml_file import read_toml
 
 
 def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None) -> RunConfig:
@@ -32,12 +27,7 @@ def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None
     """
     table: dict[str, Any] = {}
     if path is not None:
-        try:
-            table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ConfigError(f"config: cannot read {path}: {error.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ConfigError(f"config: {path} is not valid TOML: {error}") from None
+        table = read_toml(Path(path), what="config")
         table.pop("versions", None)
     for key, value in (overrides or {}).items():
         _set_dotted(table, key, value)

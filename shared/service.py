@@ -54,6 +54,11 @@ def add_identity_arguments(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--name", help="of the robot on the link, so that there may be several of a kind"
     )
+    add_secure_argument(parser)
+
+
+def add_secure_argument(parser: argparse._ActionsContainer) -> None:
+    """The folder of certificates; of a parser or a group."""
     parser.add_argument(
         "--secure",
         metavar="DIR",

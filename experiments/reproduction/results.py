@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +13,7 @@ from experiments.reproduction.compute_times import ComputeTimes
 from experiments.reproduction.outcome import Row
 from experiments.study import read_study
 from experiments.trial_table import read_trials
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:  # pragma: no cover
-    import tomli as tomllib
+from shared.toml_file import read_toml
 
 FIGURE_FOLDER = "figures"
 COMPUTE_TIMES = "compute-times.json"
@@ -71,5 +66,4 @@ class Results:
         """Whether a finished study was played by `--quick`, which leaves its [quick] out."""
         if not self.rows(name):
             return False
-        text = (self.folder / name / "study.toml").read_text(encoding="utf-8")
-        return "quick" not in tomllib.loads(text)
+        return "quick" not in read_toml(self.folder / name / "study.toml", what="study")

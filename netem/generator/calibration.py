@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -27,6 +27,7 @@ from netem.statistics import LINKS, OUTAGE_MS, delays_ms, outages, statistics
 from shared.cli import EXIT_STANDING
 from shared.errors import ConfigError
 from shared.report import cpu_name, versions
+from shared.text_table import aligned
 
 MAX_SETS = 100
 # D at which two samples of n and m differ at the 5 % level: so much × √((n + m) / (n m)).
@@ -184,7 +185,7 @@ def _figures(
         rows.append([name, *cells, f"{ratios[0]:.2f}"])
         if others:
             rows[-1] += [f"{min(ratios):.2f}", f"{max(ratios):.2f}"]
-    return _aligned(rows)
+    return aligned(rows, left=1)
 
 
 def _distances(link: str, halves: Sequence[Measured], generated: Measured) -> list[str]:
@@ -199,7 +200,7 @@ def _distances(link: str, halves: Sequence[Measured], generated: Measured) -> li
     every = [np.concatenate(each.runs) for each in (generated, *halves)]
     ds = [f"{distance(every[0], other):.3f}" for other in every[1:]]
     rows.append(["every delay", ds[0], "-", "-", ds[1], "-", "-", "not independent"])
-    return _aligned(rows)
+    return aligned(rows, left=1)
 
 
 def _ks(sample: np.ndarray, other: np.ndarray) -> tuple[str, str, str]:
@@ -237,12 +238,13 @@ def p_value(d: float, n: int, m: int) -> float:
 def _shared(ns3: Sequence[DelayProfile], generated: Sequence[DelayProfile]) -> list[str]:
     sets = (ns3[::2], ns3[1::2], ns3, generated)
     shared = [shared_outages(each) for each in sets]
-    return _aligned(
+    return aligned(
         [
             ["both ways", "ns-3 odd", "ns-3 even", "ns-3 all", "generated"],
             ["P(up | down in outage)", *(f"{up:.2f}" for up, _ in shared)],
             ["P(down | up in outage)", *(f"{down:.2f}" for _, down in shared)],
-        ]
+        ],
+        left=1,
     )
 
 
@@ -269,12 +271,3 @@ def _part(of: float, whole: float) -> float:
 
 def _quantile(values: np.ndarray, q: float) -> float:
     return float(np.quantile(values, q)) if len(values) else math.nan
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    align: list[Callable[[str, int], str]] = [str.ljust, *[str.rjust] * (len(widths) - 1)]
-    return [
-        "  ".join(put(c, w) for put, c, w in zip(align, row, widths, strict=True)).rstrip()
-        for row in rows
-    ]

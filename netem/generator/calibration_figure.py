@@ -11,7 +11,7 @@ import numpy as np
 
 from netem.profile import DelayProfile
 from netem.statistics import autocorrelation, delays_ms, outages
-from shared.errors import ConfigError
+from shared.figure import save_figure
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -32,14 +32,7 @@ def draw(
     for k, (scenario, both) in enumerate(sets.items()):
         named = dict(zip(_COLOURS, both, strict=True))
         _draw_scenario(axes[2 * k : 2 * k + 2], scenario, named)
-    figure.tight_layout()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=90)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"out: cannot write {path}: {error}") from None
-    finally:
-        plt.close(figure)
+    save_figure(figure, path, what="out", dpi=90)
 
 
 def _draw_scenario(
