@@ -64,7 +64,7 @@ class Scene:
         self._lanes = [LinkLane() for _ in LINKS]
         self._last_frame: int | None = None
         self._last_wall_ns = 0
-        self._overruns = 0.0
+        self._overruns: float | None = None
         self._tick_columns = _columns(tick_schema(nq=robot.model.nq, nv=robot.model.nv))
 
     def log_rows(self, schema: Schema, rows: np.ndarray) -> None:
@@ -120,7 +120,9 @@ class Scene:
         self._recorder.lane(SOURCE_LANE.path, instants, sources, list(SOURCE_LANE.states))
         self._recorder.lane(MODE_LANE.path, instants, modes, list(MODE_NAMES.values()))
         overruns = schema.column(rows, "overruns")
-        overrun = np.diff(overruns, prepend=self._overruns) > 0
+        # The first row has the count of what came before it: of the wait, or of a viewer's past life.
+        before = overruns[0] if self._overruns is None else self._overruns
+        overrun = np.diff(overruns, prepend=before) > 0
         self._overruns = float(overruns[-1])
         if overrun.any():
             took = milliseconds(schema.column(rows, "tick_ns")[overrun])

@@ -161,6 +161,17 @@ def test_an_overrun_is_marked_at_its_tick(robot: Robot, draw: Callable[..., Path
     np.testing.assert_allclose(marks, [[2.5]])
 
 
+def test_overruns_of_the_wait_are_not_marked_in_the_task(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    schema, rows = tick_rows(robot, 100, waiting=20)
+    # As the robot counts: it begins anew with the second tick of the task.
+    rows[10:21, schema.slices["overruns"]] = 7.0
+    rows[60:, schema.slices["overruns"]] = 1.0
+    times, _ = logged(draw((schema, rows)), "/plots/compute/overrun", "Scalars:scalars")
+    np.testing.assert_array_equal(times, [40 * MILLISECOND])
+
+
 def test_a_link_that_is_cut_shows_as_an_outage_without_an_end(
     robot: Robot, draw: Callable[..., Path]
 ) -> None:
