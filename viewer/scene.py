@@ -120,7 +120,7 @@ class Scene:
         self._recorder.lane(SOURCE_LANE.path, instants, sources, list(SOURCE_LANE.states))
         self._recorder.lane(MODE_LANE.path, instants, modes, list(MODE_NAMES.values()))
         overruns = schema.column(rows, "overruns")
-        # The first row has the count of what came before it: of the wait, or of a viewer's past life.
+        # The first row's are of the wait, or of before this viewer was started.
         before = overruns[0] if self._overruns is None else self._overruns
         overrun = np.diff(overruns, prepend=before) > 0
         self._overruns = float(overruns[-1])
