@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.about import commit_in_words
 from experiments.course import Trial
 from experiments.dealing import Study, value_in_words
 from experiments.journal import code_version
@@ -66,16 +67,16 @@ def run_check(arguments: argparse.Namespace) -> int:
     rows, study = read_trials(folder).to_pylist(), read_study(folder)
     try:
         about = json.loads((folder / "about.json").read_text(encoding="utf-8"))
-        code = about["code"]
+        code, commit = about["code"], commit_in_words(about)
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise ConfigError(
             f"expected the folder of a finished sweep, got {folder}: no about.json with the "
             f"version of its code ({type(error).__name__})"
         ) from None
     if code != code_version():
-        at = f"commit {str(about.get('commit'))[:10]}" + " with changes" * bool(about.get("dirty"))
         print(
-            f"the code is another: {folder} was played with {code}, at {at}, this is "
+            f"the code is another: {folder} was played with {code}, at commit "
+            f"{commit}, this is "
             f"{code_version()}; rows may differ for that",
             file=sys.stderr,
         )

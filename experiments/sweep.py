@@ -14,10 +14,8 @@ import shared.single_thread  # noqa: F401
 # isort: on
 import argparse
 import contextlib
-import datetime
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -25,17 +23,17 @@ from typing import Any
 
 import tomli_w
 
+from experiments.about import about_now, commit_in_words, other_codes
 from experiments.bisection import limits, limits_in_words
 from experiments.course import Course, Outcome, Trial, outcome_of
 from experiments.dealing import Study
-from experiments.journal import ROOT, Record, code_version, open_journal
+from experiments.journal import Record, open_journal
 from experiments.progress import Progress
 from experiments.study import read_study
 from experiments.trial_table import row_of, table_in_words, write_trials
 from experiments.workers import EXAMPLE, Players, players
 from shared.cli import EXIT_STANDING
 from shared.errors import ConfigError
-from shared.report import cpu_name, versions
 
 
 def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
@@ -136,7 +134,8 @@ def sweep(
                         row_of(trial, record, study.columns)  # an unknown column ends it here
                         fell = record["error"] is None and record["summary"]["fell"]
                         progress.finished(fell=fell, left=study.most_left(missing))
-            about = _about(study) | progress.about() | {"workers": workers, "scheduler": scheduler}
+            played_by = {"workers": workers, "scheduler": scheduler}
+            about = about_now(study) | progress.about() | played_by
         played = [
             (trial, records[trial.identity])
             for course in sorted(courses, key=lambda course: course.cell)
@@ -145,6 +144,7 @@ def sweep(
         rows = [row_of(trial, record, study.columns) for trial, record in played]
         write_trials(rows, out)
         about["trial_seconds"] = sum(record["wall_seconds"] for _, record in played)
+        about["other_code"] = other_codes(record for _, record in played)
         # An earlier sweep may have been killed between its last trial and this file.
         if missing or not (out / "about.json").is_file():
             (out / "about.json").write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
@@ -208,7 +208,7 @@ def _write_table(path: Path, table: str, asked: str, out: Path) -> None:
         lines = [
             about["description"],
             f"python -m experiments sweep {asked}",
-            f"{about['machine']['cpu']}; {packages}; commit {str(about['commit'])[:10]}, "
+            f"{about['machine']['cpu']}; {packages}; commit {commit_in_words(about)}, "
             f"{about['date'][:10]}; means over the trials that finished standing",
             "",
             table,
@@ -217,27 +217,3 @@ def _write_table(path: Path, table: str, asked: str, out: Path) -> None:
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"table: cannot write {path}: {error.strerror}") from None
-
-
-def _about(study: Study) -> dict[str, Any]:
-    status = _git("status", "--porcelain")
-    return {
-        "study": study.name,
-        "description": study.table.get("description", ""),
-        "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
-        "machine": {"cpu": cpu_name(), "cores": os.cpu_count()},
-        "versions": versions(),
-        "commit": _git("rev-parse", "HEAD"),
-        "dirty": None if status is None else bool(status),
-        "code": code_version(),
-        "seeds": study.seeds,
-    }
-
-
-def _git(*arguments: str) -> str | None:
-    command = ["git", "-C", str(ROOT), *arguments]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return done.stdout.strip()

@@ -224,7 +224,7 @@ class CorrectionConfig:
     iterations: int = 1
     iterations_at_switch: int = 3
     damping: float = 0.0
-    refresh_distance: float = 0.015
+    refresh_distance: float = 0.15
     refresh_interval_ns: int = 20_000_000
     average_ns: int = 10_000_000
     retry_ns: int = 100_000_000

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from experiments.about import commit_in_words
 from experiments.reproduction.layout import Table, in_markdown
 from experiments.reproduction.results import Results
 from experiments.reproduction.sections import STUDIES
@@ -70,5 +71,4 @@ def _versions(about: About) -> str:
 
 
 def _commit(about: About) -> str:
-    changed = " with uncommitted changes" if about["dirty"] else ""
-    return f"{(about['commit'] or 'unknown')[:10]}{changed} (code {about['code']})"
+    return f"{commit_in_words(about)} (code {about['code']})"

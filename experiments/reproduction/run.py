@@ -43,6 +43,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help=f"default {DEFAULT_OUT}, of --quick {QUICK_OUT}"
     )
+    parser.add_argument("--keep-code", action="store_true", help="take trials of other code too")
 
 
 def run_reproduction(arguments: argparse.Namespace) -> int:
@@ -97,6 +98,7 @@ def _play(name: str, out: Path, arguments: argparse.Namespace) -> None:
         out=out / name,
         workers=workers_from(arguments.workers),
         scheduler=arguments.scheduler,
+        keep_code=arguments.keep_code,
     )
 
 

@@ -288,7 +288,7 @@ def test_what_is_sent_later_has_the_modes_that_are_due_only(edge, codec, state, 
     edge.receive(state(0, holds=NOTHING_HELD))
     edge.step()
     q = robot.q_standing.copy()
-    q[7:] += 0.11
+    q[7:] += 1.1 * CorrectionConfig().refresh_distance
     edge.receive(state(1, stamp_ns=361_000_000, q=q, holds=(0, 0, 0)))
     message = codec.decode_factorisations(edge.step().data)
     assert [each.mode for each in message.factorisations] == [ContactMode.DOUBLE_SUPPORT]

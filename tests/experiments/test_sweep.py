@@ -13,8 +13,9 @@ import time
 
 import pytest
 
+from experiments.about import commit_in_words
 from experiments.study import read_study
-from experiments.sweep import sweep
+from experiments.sweep import _write_table, sweep
 from experiments.trial_table import read_trials, table_in_words
 from experiments.workers import play
 from shared.errors import ConfigError
@@ -123,6 +124,18 @@ def test_trials_of_other_settings_and_other_code_are_left_out(again, study_of, c
     assert "left out: 1 of other settings or seeds, 2 of other code" in capsys.readouterr().err
     assert [row["controller"] for row in rows] == ["la", "la"]
     assert len(lines_of(again)) == 5
+
+
+def test_trials_of_other_code_that_are_kept_are_told(again, study_of, tmp_path):
+    *kept, _ = [json.loads(line) | {"code": "other"} for line in lines_of(again)]
+    (again / "trials.jsonl").write_text("".join(json.dumps(line) + "\n" for line in kept))
+    table = tmp_path / "table.txt"
+    sweep(study_of(BASE), out=again, keep_code=True)
+    about = json.loads((again / "about.json").read_text())
+    assert about["other_code"] == {"other": 3}
+    assert commit_in_words(about).endswith(", 3 trials of code other")
+    _write_table(table, "", "short", again)
+    assert ", 3 trials of code other, 20" in table.read_text()
 
 
 def test_a_trial_that_fails_is_a_row(tmp_path, study_of):

@@ -1,0 +1,55 @@
+"""How a study was played: `about.json` beside its trials."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import subprocess
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from experiments.dealing import Study
+from experiments.journal import ROOT, Record, code_version
+from shared.report import cpu_name, versions
+
+
+def about_now(study: Study) -> dict[str, Any]:
+    """What was asked for, on which machine, by which versions, commit and code."""
+    status = _git("status", "--porcelain")
+    return {
+        "study": study.name,
+        "description": study.table.get("description", ""),
+        "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+        "machine": {"cpu": cpu_name(), "cores": os.cpu_count()},
+        "versions": versions(),
+        "commit": _git("rev-parse", "HEAD"),
+        "dirty": None if status is None else bool(status),
+        "code": code_version(),
+        "seeds": study.seeds,
+    }
+
+
+def commit_in_words(about: Mapping[str, Any]) -> str:
+    """The commit in an `about.json`, and what other code its trials are of."""
+    changed = " with uncommitted changes" if about["dirty"] else ""
+    others = about.get("other_code", {}).items()
+    kept = "".join(f", {count} trials of code {code}" for code, count in others)
+    return f"{(about['commit'] or 'unknown')[:10]}{changed}{kept}"
+
+
+def other_codes(records: Iterable[Record]) -> dict[str, int]:
+    """How many trials each version of the code played that is not this one (`--keep-code`)."""
+    here = code_version()
+    codes = Counter(record.get("code", here) for record in records)
+    del codes[here]
+    return dict(codes)
+
+
+def _git(*arguments: str) -> str | None:
+    command = ["git", "-C", str(ROOT), *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return done.stdout.strip()
