@@ -13,9 +13,13 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgpack
 import numpy as np
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 BLOCK_ROWS = 100
 
@@ -235,18 +239,51 @@ def write_parquet(schema: Schema, rows: np.ndarray, path: Path) -> None:
 
 def read_parquet(path: Path, *, columns: Sequence[str] | None = None) -> tuple[Schema, np.ndarray]:
     """Schema and rows of a table that `write_parquet` wrote, or of some of its columns."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     table = pq.read_table(path, columns=None if columns is None else list(columns))
-    read, parts = [], []
-    for name in table.column_names:
-        array = table[name].combine_chunks()
-        kind = array.type
-        width = 1
+    return _schema_of(table.schema), _rows_of(table)
+
+
+def parquet_shape(path: Path) -> tuple[Schema, int]:
+    """Schema of such a table and its number of rows, which are not read."""
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(path) as file:
+        return _schema_of(file.schema_arrow), file.metadata.num_rows
+
+
+def parquet_chunks(path: Path, *, size: int = 20_000) -> Iterator[tuple[Schema, np.ndarray]]:
+    """Such a table in chunks of at most `size` rows, each with its schema."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(path) as file:
+        # One group after the other: over several, Arrow keeps all that it has read.
+        for group in range(file.num_row_groups):
+            for batch in file.iter_batches(batch_size=size, row_groups=[group]):
+                yield _schema_of(batch.schema), _rows_of(pa.Table.from_batches([batch]))
+
+
+def _schema_of(fields: pa.Schema) -> Schema:
+    import pyarrow as pa
+
+    columns = []
+    for field in fields:
+        width, kind = 1, field.type
         if pa.types.is_fixed_size_list(kind):
             width, kind = kind.list_size, kind.value_type
-            array = array.flatten()
-        read.append(Column(name, width, str(kind).replace("double", "float64")))
+        columns.append(Column(field.name, width, str(kind).replace("double", "float64")))
+    return Schema(*columns)
+
+
+def _rows_of(table: pa.Table) -> np.ndarray:
+    import pyarrow as pa
+
+    parts = []
+    for chunked in table.columns:
+        array, width = chunked.combine_chunks(), 1
+        if pa.types.is_fixed_size_list(array.type):
+            width, array = array.type.list_size, array.flatten()
         parts.append(array.to_numpy(zero_copy_only=False).astype(np.float64).reshape(-1, width))
-    return Schema(*read), np.hstack(parts)
+    return np.hstack(parts)

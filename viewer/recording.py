@@ -16,7 +16,6 @@ import rerun.blueprint as rrb
 
 from shared.errors import UserError
 from shared.robots import load_robot
-from shared.telemetry import row_chunks
 from viewer.blueprint import compared_layout, layout
 from viewer.meshes import load_meshes
 from viewer.outages import OUTAGE_NS
@@ -90,9 +89,8 @@ def log_runs(recording: rr.RecordingStream, runs: Sequence[RunFolder]) -> None:
     for run, track in zip(runs, tracks, strict=True):
         robot = load_robot(run.config.robot.name)
         scene = Scene(recording, robot, run.config, meshes=load_meshes(robot), track=track)
-        for schema, rows in run.tables:
-            for chunk in row_chunks(rows):
-                scene.log_rows(schema, chunk)
+        for schema, rows in run.chunks():
+            scene.log_rows(schema, rows)
         scene.look_for_silence(patience_ns=OUTAGE_NS)
         if not track.alone:
             _log_sign(recording, run, track)

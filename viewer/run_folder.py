@@ -5,11 +5,14 @@
     link.parquet        the link's rows, if there
     edge.parquet        the edge's rows, if there
 
-A run that was played in lockstep and one that was live have the same ones.
+A run that was played in lockstep and one that was live have the same ones. An hour of the robot's
+rows does not fit into memory: they are read in chunks.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,33 +23,39 @@ from shared.config import RunConfig
 from shared.config_file import load_config
 from shared.errors import UserError
 from shared.robots import load_robot
-from shared.telemetry import Schema, read_parquet, tick_schema
+from shared.telemetry import (
+    Schema,
+    parquet_chunks,
+    parquet_shape,
+    read_parquet,
+    tick_schema,
+)
 
 _FILES = ("config.toml", "telemetry.parquet")
+_OTHERS = ("link.parquet", "edge.parquet")
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A run: `tables` of telemetry, the robot's first."""
+    """A run: its `tables` of telemetry, the robot's first, how many rows they have together, and
+    how long its task lasted [s], zero if it never began.
+    """
 
     path: Path
     config: RunConfig
-    tables: tuple[tuple[Schema, np.ndarray], ...]
+    tables: tuple[Path, ...]
+    rows: int
+    duration: float
 
     @property
     def name(self) -> str:
         return self.path.resolve().name
 
-    @property
-    def rows(self) -> int:
-        """How many there are in all tables."""
-        return sum(len(rows) for _, rows in self.tables)
-
-    @property
-    def duration(self) -> float:
-        """Until the last tick of the task [s]; zero if it never began."""
-        schema, rows = self.tables[0]
-        return max(0.0, float(schema.column(rows, "time_ns").max(initial=0.0))) * 1e-9
+    def chunks(self) -> Iterator[tuple[Schema, np.ndarray]]:
+        """The rows, table after table; `UserError` if they cannot be read."""
+        for table in self.tables:
+            with _reading(table):
+                yield from parquet_chunks(table)
 
 
 def read_run(path: Path) -> RunFolder:
@@ -63,18 +72,24 @@ def read_run(path: Path) -> RunFolder:
             f"{' and no '.join(missing)}"
         )
     config = load_config(path / "config.toml")
-    schema, rows = _read(path / "telemetry.parquet")
+    ticks = path / "telemetry.parquet"
+    tables = (ticks, *(path / name for name in _OTHERS if (path / name).exists()))
+    shapes = []
+    for table in tables:
+        with _reading(table):
+            shapes.append(parquet_shape(table))
+    schema, _ = shapes[0]
     model = load_robot(config.robot.name).model
     expected = tick_schema(nq=model.nq, nv=model.nv)
     if schema.slices != expected.slices:
         raise UserError(
-            f"{path / 'telemetry.parquet'}: expected the rows of a {config.robot.name} as this "
-            f"version records them, {_difference(expected, schema)}; play the run again"
+            f"{ticks}: expected the rows of a {config.robot.name} as this version records them, "
+            f"{_difference(expected, schema)}; play the run again"
         )
-    others = [
-        _read(path / name) for name in ("link.parquet", "edge.parquet") if (path / name).exists()
-    ]
-    return RunFolder(path, config, ((schema, rows), *others))
+    with _reading(ticks):
+        _, times_ns = read_parquet(ticks, columns=("time_ns",))
+    duration = 1e-9 * max(0.0, float(times_ns.max(initial=0.0)))
+    return RunFolder(path, config, tables, sum(count for _, count in shapes), duration)
 
 
 def _difference(expected: Schema, found: Schema) -> str:
@@ -84,9 +99,10 @@ def _difference(expected: Schema, found: Schema) -> str:
     return "found columns of other widths or another order"
 
 
-def _read(path: Path) -> tuple[Schema, np.ndarray]:
+@contextmanager
+def _reading(table: Path) -> Iterator[None]:
     try:
-        return read_parquet(path)
+        yield
     except (OSError, pa.ArrowException, ValueError) as error:
         lines = str(error).splitlines() or [type(error).__name__]
-        raise UserError(f"cannot read {path}: {lines[0]}") from None
+        raise UserError(f"cannot read {table}: {lines[0]}") from None

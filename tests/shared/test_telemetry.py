@@ -18,6 +18,8 @@ from shared.telemetry import (
     Schema,
     decode_rows,
     encode_rows,
+    parquet_chunks,
+    parquet_shape,
     read_parquet,
     row_chunks,
     tick_schema,
@@ -223,3 +225,25 @@ def test_some_columns_of_a_table_are_read_without_the_others(tmp_path):
     some, values = read_parquet(tmp_path / "x.parquet", columns=["c", "b"])
     assert_same_schema(some, Schema(Column("c", kind="int64"), Column("b", 4)))
     np.testing.assert_array_equal(values, rows[:, [5, 1, 2, 3, 4]])
+
+
+def test_a_table_is_read_in_bounded_chunks_of_the_same_rows(tmp_path):
+    rows = expected(25_000)
+    path = tmp_path / "rows.parquet"
+    write_parquet(SCHEMA, rows, path)
+    schema, count = parquet_shape(path)
+    assert_same_schema(schema, SCHEMA)
+    assert count == 25_000
+    schemas, chunks = zip(*parquet_chunks(path, size=7_000), strict=True)
+    assert max(len(chunk) for chunk in chunks) <= 7_000
+    np.testing.assert_array_equal(np.vstack(chunks), rows)
+    for each in schemas:
+        assert_same_schema(each, SCHEMA)
+
+
+def test_an_empty_table_has_a_shape_and_no_chunks(tmp_path):
+    write_parquet(SCHEMA, expected(0), tmp_path / "rows.parquet")
+    schema, count = parquet_shape(tmp_path / "rows.parquet")
+    assert_same_schema(schema, SCHEMA)
+    assert count == 0
+    assert list(parquet_chunks(tmp_path / "rows.parquet")) == []

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
@@ -19,6 +20,7 @@ from tests.viewer.reading import entities, static
 from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
 from viewer.meshes import load_meshes
 from viewer.recording import record
+from viewer.run_folder import read_run
 
 
 @pytest.fixture(autouse=True)
@@ -70,6 +72,15 @@ def test_a_run_without_a_link_or_an_edge_is_recorded_too(run: Path) -> None:
     assert record(run).rows == 300
 
 
+def test_the_rows_of_a_long_run_are_read_in_parts(run: Path) -> None:
+    schema, rows = link_rows(300)
+    write_parquet(schema, np.tile(rows, (100, 1)), run / "link.parquet")
+    read = read_run(run)
+    chunks = [len(rows) for _, rows in read.chunks()]
+    assert sum(chunks) == read.rows == 300 + 60_000 + 300
+    assert max(chunks) <= 20_000
+
+
 def spoil_config(run: Path) -> None:
     (run / "config.toml").write_text("[robot]\nname = 'c3po'\n")
 
@@ -82,6 +93,13 @@ def spoil_telemetry(run: Path) -> None:
     (run / "telemetry.parquet").write_bytes(b"no table")
 
 
+def spoil_columns(run: Path) -> None:
+    # What says how long the table is comes last, and is whole.
+    table = bytearray((run / "link.parquet").read_bytes())
+    table[4:400] = bytes(396)
+    (run / "link.parquet").write_bytes(table)
+
+
 def swap_tables(run: Path) -> None:
     write_parquet(*solve_rows(3), run / "telemetry.parquet")
 
@@ -92,6 +110,7 @@ def swap_tables(run: Path) -> None:
         (spoil_config, "robot: expected one of romeo"),
         (remove_telemetry, "found no telemetry.parquet"),
         (spoil_telemetry, "cannot read"),
+        (spoil_columns, "cannot read"),
         (swap_tables, "expected the rows of a romeo as this version records them, found no tick"),
     ],
 )
