@@ -10,7 +10,7 @@ import argparse
 import signal
 import sys
 
-from benchmarks import capacity, core, lockstep, netem
+from benchmarks import capacity, core, lockstep, netem, viewer
 from shared.cli import EXIT_STANDING, Command, run, run_command
 from shared.errors import ConfigError
 
@@ -65,11 +65,29 @@ def _run_lockstep(arguments: argparse.Namespace) -> int:
     return EXIT_STANDING
 
 
+def _add_viewer_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--repetitions", type=int, default=5, help="of each run; 5")
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each run; 10")
+
+
+def _run_viewer(arguments: argparse.Namespace) -> int:
+    if arguments.repetitions < 1:
+        raise ConfigError(f"--repetitions: expected at least 1, got {arguments.repetitions}")
+    # The viewer is disturbed after two seconds.
+    if not 3.0 <= arguments.seconds <= 600.0:
+        raise ConfigError(f"--seconds: expected 3 to 600, got {arguments.seconds:g}")
+    # A termination leaves no processes behind.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    print(viewer.run(seconds=arguments.seconds, repetitions=arguments.repetitions))
+    return EXIT_STANDING
+
+
 _COMMANDS = (
     Command("capacity", "recorded delays given back", _add_capacity_arguments, _run_capacity),
     Command("core", "where the time goes", _add_core_arguments, _run_core),
     Command("lockstep", "speed of a trial", _add_lockstep_arguments, _run_lockstep),
     Command("netem", "how exactly the link is emulated", _add_netem_arguments, _run_netem),
+    Command("viewer", "whether watching disturbs the robot", _add_viewer_arguments, _run_viewer),
 )
 
 

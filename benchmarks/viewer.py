@@ -1,0 +1,227 @@
+"""Whether a viewer disturbs the robot: the ticks of live runs that are watched well, badly and not.
+
+The same balance over the same link, again and again: nobody watches; the view is recorded and
+served to a browser; the viewer comes to run only now and then, is stopped for good, or is killed.
+The robot's ticks are those of its telemetry: what a tick computes, how late it begins, how many
+overran. A browser or a window is not opened: what it takes is its machine's affair.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.link_paths import end_with_parent
+from benchmarks.timing import cores_busy, machine
+from deploy.plan import VIEWER
+from deploy.state import READY, StackFolder
+from shared.errors import ConfigError, LinkError
+from shared.metrics import in_task
+from shared.report import versions
+from shared.telemetry import read_parquet
+from shared.text_table import aligned
+
+_NETWORK = "constant:20ms"
+# After everything is ready [s]: by then the robot has begun.
+_UNDISTURBED = 2.0
+# Ticks of the first second are left out: whatever is used for the first time takes longer [ns].
+_WARM_UP_NS = 1_000_000_000
+_START_SECONDS = 120.0
+# Besides what the run lasts: starting, writing files, and ending a viewer that does not answer.
+_MORE_SECONDS = 240.0
+_FOR_EVER = 1e6
+
+
+@dataclass(frozen=True)
+class Case:
+    """A way to watch: `view` of `./deploy/up`, and the signals that its viewer gets once it has run
+    for a while, in turn and over again, each with the time until the next [s].
+    """
+
+    name: str
+    view: str
+    signals: tuple[tuple[signal.Signals, float], ...] = ()
+
+
+NOT_WATCHED = Case("no viewer", "off")
+CASES = (
+    NOT_WATCHED,
+    Case("recorded and served", "web"),
+    Case("slow: runs 10 % of the time", "web", ((signal.SIGSTOP, 0.45), (signal.SIGCONT, 0.05))),
+    Case("stopped after 2 s", "web", ((signal.SIGSTOP, _FOR_EVER),)),
+    Case("killed after 2 s", "web", ((signal.SIGKILL, _FOR_EVER),)),
+)
+
+
+@dataclass(frozen=True)
+class Ticks:
+    """The ticks of one run: quantiles of what they computed, and of how late they began [ms]."""
+
+    p50: float
+    p99: float
+    most: float
+    late_p99: float
+    overruns: int
+
+
+def run(*, seconds: float, repetitions: int) -> str:
+    """Play every case `repetitions` times for so long, in turn; the table as text."""
+    busy = cores_busy(seconds=2.0)
+    played: dict[Case, list[Ticks]] = {case: [] for case in CASES}
+    for _ in range(repetitions):
+        for case in CASES:
+            played[case].append(play(case, seconds=seconds))
+    packages = ", ".join(f"{name} {version}" for name, version in versions().items())
+    return "\n".join(
+        [
+            f"{machine()}, {busy:.0%} of the cores busy before the start",
+            packages,
+            f"balance with LA over {_NETWORK}, {seconds:g} s without the first; median of "
+            f"{repetitions} (least–most), ratio to the run without a viewer of the same round",
+            "",
+            *_table(played),
+        ]
+    )
+
+
+def play(case: Case, *, seconds: float) -> Ticks:
+    """A run of the live stack; `LinkError` if it does not come to its end with a robot that stands,
+    or has no viewer to disturb.
+    """
+    with tempfile.TemporaryDirectory(prefix="benchmark-") as name:
+        folder = Path(name)
+        with _up(case, folder, seconds=seconds) as up:
+            if case.signals:
+                group = _viewer(up, folder / "run")
+                time.sleep(_UNDISTURBED)
+                disturb(up, group, case.signals, seconds=seconds + _MORE_SECONDS)
+            code = _wait(up, seconds + _MORE_SECONDS)
+        if code is None:
+            raise LinkError(f"{case.name}: the run did not end within {_MORE_SECONDS:g} s more")
+        if code != 0:
+            said = (folder / "said").read_text(encoding="utf-8").splitlines() or ["nothing"]
+            raise LinkError(f"{case.name}: the run ended with {code} and said: {said[-1]}")
+        return read_ticks(folder / "run" / "telemetry.parquet")
+
+
+def disturb(
+    up: subprocess.Popen[bytes],
+    group: int,
+    signals: Sequence[tuple[signal.Signals, float]],
+    *,
+    seconds: float,
+) -> None:
+    """Send a group of processes signals in turn until `up` has ended, at most for so long."""
+    deadline = time.monotonic() + seconds
+    for number, pause in itertools.cycle(signals):
+        left = deadline - time.monotonic()
+        if left <= 0.0:
+            return
+        try:
+            os.killpg(group, number)
+        except ProcessLookupError:
+            return  # The run is over, and has ended its viewer.
+        if _wait(up, min(pause, left)) is not None:
+            return
+
+
+def read_ticks(file: Path) -> Ticks:
+    """Of a run's telemetry, without its first second; `ConfigError` if that is all there is."""
+    schema, rows = read_parquet(file, columns=("time_ns", "tick_ns", "late_ns", "overruns"))
+    rows = in_task(schema, rows)
+    first = rows[schema.column(rows, "time_ns") < _WARM_UP_NS]
+    rows = rows[len(first) :]
+    if not len(first) or not len(rows):
+        raise ConfigError(f"{file}: expected a run of more than a second")
+    tick_ms = schema.column(rows, "tick_ns") * 1e-6
+    p50, p99, most = np.percentile(tick_ms, [50, 99, 100])
+    overruns = schema.column(rows, "overruns")[-1] - schema.column(first, "overruns")[-1]
+    late_p99 = np.percentile(schema.column(rows, "late_ns") * 1e-6, 99)
+    return Ticks(float(p50), float(p99), float(most), float(late_p99), int(overruns))
+
+
+@contextmanager
+def _up(case: Case, folder: Path, *, seconds: float) -> Iterator[subprocess.Popen[bytes]]:
+    """`./deploy/up` into `folder`/run, its output into `folder`/said; ended with the context."""
+    command = [sys.executable, "-m", "deploy.up", "--network", _NETWORK, "--controller", "la"]
+    command += ["--push", "none", "--duration", f"{seconds:g}", "--view", case.view]
+    command += ["--out", str(folder / "run")]
+    with (folder / "said").open("wb") as said:
+        up = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=subprocess.STDOUT,
+            preexec_fn=end_with_parent if sys.platform == "linux" else None,
+        )
+    try:
+        yield up
+    finally:
+        up.terminate()
+        if _wait(up, _MORE_SECONDS) is None:
+            up.kill()
+            up.wait()
+
+
+def _viewer(up: subprocess.Popen[bytes], run: Path) -> int:
+    """The viewer's group of processes, once the whole stack is ready."""
+    deadline = time.monotonic() + _START_SECONDS
+    while time.monotonic() < deadline and _wait(up, 0.1) is None:
+        try:
+            stack = StackFolder(run).read()
+        except ConfigError:
+            continue  # Not there yet.
+        if stack.state == READY:
+            for service in stack.services:
+                if service.name == VIEWER and service.state == READY:
+                    # A service is the leader of a group of its own.
+                    return service.pid
+            break
+    raise LinkError(f"no viewer to disturb; is there room for one? See {run.parent / 'said'}")
+
+
+def _wait(up: subprocess.Popen[bytes], seconds: float) -> int | None:
+    """Its exit code, or None if it has not ended within so long."""
+    try:
+        return up.wait(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        return None
+
+
+def _table(played: dict[Case, list[Ticks]]) -> list[str]:
+    """A line per case; milliseconds."""
+    lines = [["", "tick p50", "p99", "max", "late p99", "overruns", "tick p99 / no viewer"]]
+    lines.append(["", *["[ms]"] * 4, "", ""])
+    without = np.array([ticks.p99 for ticks in played[NOT_WATCHED]])
+    for case, runs in played.items():
+        ratios = np.array([ticks.p99 for ticks in runs]) / without
+        lines.append(
+            [
+                case.name,
+                *(
+                    _spanned([getattr(ticks, name) for ticks in runs], digits=3)
+                    for name in ("p50", "p99", "most", "late_p99")
+                ),
+                _spanned([ticks.overruns for ticks in runs], digits=0),
+                _spanned(ratios.tolist(), digits=2),
+            ]
+        )
+    return aligned(lines, left=1)
+
+
+def _spanned(values: Sequence[float], *, digits: int) -> str:
+    median, least, most = (
+        f"{value:.{digits}f}" for value in (np.median(values), min(values), max(values))
+    )
+    return f"{median} ({least}–{most})"
