@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shared.outages import OUTAGE, Change, LinkLane
+from shared.report import DIRECTIONS
 from shared.telemetry import Schema
 
-# Nothing released for so long is an outage; said while it lasts if it lasts longer: what the shim
-# reports comes in blocks, and late on a busy machine.
-OUTAGE_NS = 150_000_000
+# Worth a line if it lasted so long; said while it lasts if it lasts longer: what the shim reports
+# comes in blocks, and late on a busy machine.
+TOLD_NS = 150_000_000
 _SAID_NS = 500_000_000
 _UP = 0
 _AXES = "xyz"
@@ -34,11 +36,13 @@ class Events:
 
     def __init__(self) -> None:
         self.pushes: list[str] = []
-        self.outages_ns: list[int] = []
+        self.outages_ns: tuple[list[int], list[int]] = ([], [])
         self._new: deque[Event] = deque()
         self._pushed = False
+        # The robot sends all the time; answers may be rare.
+        self._lanes = (LinkLane(steady=True), LinkLane())
+        # Of the uplink, said while it lasts.
         self._open_since_ns: int | None = None
-        self._released_ns: int | None = None
         # Task time minus the machine's clock; None before the task begins.
         self._offset_ns: int | None = None
         self._now_ns = 0
@@ -46,7 +50,8 @@ class Events:
     @property
     def silence_ns(self) -> int:
         """How long ago a state last came out of the shim; 0 without a shim."""
-        return 0 if self._released_ns is None else max(0, self._now_ns - self._released_ns)
+        last_ns = self._lanes[_UP].last_arrival_ns
+        return 0 if last_ns is None else max(0, self._now_ns - last_ns)
 
     def take_ticks(self, schema: Schema, rows: np.ndarray) -> None:
         """Rows of the robot, in order."""
@@ -63,29 +68,20 @@ class Events:
             self.pushes.append(push)
             self._new.append(Event("robot", f"pushed with {push}"))
         self._pushed = bool(pushed[-1])
-        if self._open_since_ns is None and self.silence_ns >= _SAID_NS:
-            self._open_since_ns = self._now_ns - self.silence_ns
-            self._add(f"nothing passes the link since {self._time(self._open_since_ns)}")
+        # Of the downlink the robot tells meanwhile: the edge may have had nothing to say.
+        for since_ns, _ in self._lanes[_UP].silent(self._now_ns, OUTAGE, patience_ns=_SAID_NS):
+            self._open_since_ns = since_ns
+            self._add(f"nothing passes the uplink since {self._time(since_ns)}")
 
     def take_link(self, schema: Schema, rows: np.ndarray) -> None:
-        """Rows of the shim, in order. The robot sends all the time; answers may be rare."""
-        achieved_ns = schema.column(rows, "achieved_ns")
-        passed = (schema.column(rows, "direction") == _UP) & (achieved_ns >= 0)
-        released_ns = (schema.column(rows, "wall_ns") + achieved_ns)[passed]
-        if not len(released_ns):
-            return
-        before = released_ns[0] if self._released_ns is None else self._released_ns
-        gaps_ns = np.diff(released_ns, prepend=before)
-        self._released_ns = int(released_ns[-1])
-        if self._offset_ns is None:
-            return
-        for row in np.flatnonzero(gaps_ns >= OUTAGE_NS):
-            self.outages_ns.append(int(gaps_ns[row]))
-            at = self._time(int(released_ns[row]))
-            self._add(f"the link passes again at {at}, after {gaps_ns[row] * 1e-9:.2f} s")
-        if self._open_since_ns is not None and not np.any(gaps_ns >= OUTAGE_NS):
-            self._add("the link passes; its report was late")
-        self._open_since_ns = None
+        """Rows of the shim, in order."""
+        directions = schema.column(rows, "direction")
+        for direction, lane in enumerate(self._lanes):
+            way = rows[directions == direction]
+            sent_ns = schema.column(way, "wall_ns").astype(np.int64)
+            changes = lane.add(sent_ns, schema.column(way, "achieved_ns").astype(np.int64))
+            if self._offset_ns is not None:
+                self._tell(direction, changes)
 
     def take(self) -> list[Event]:
         """Events since the last call."""
@@ -96,12 +92,33 @@ class Events:
         parts = []
         if self.pushes:
             parts.append(f"pushed with {', '.join(self.pushes)}")
-        if self.outages_ns:
-            longest = max(self.outages_ns) * 1e-9
-            parts.append(f"link stood still {len(self.outages_ns)} ×, at most {longest:.2f} s")
+        for name, outages_ns in zip(DIRECTIONS, self.outages_ns, strict=True):
+            if outages_ns:
+                longest = max(outages_ns) * 1e-9
+                parts.append(f"{name} stood still {len(outages_ns)} ×, at most {longest:.2f} s")
         if self._open_since_ns is not None:
-            parts.append(f"nothing passed since {self._time(self._open_since_ns)}")
+            parts.append(f"nothing passed the uplink since {self._time(self._open_since_ns)}")
         return "; ".join(parts)
+
+    def _tell(self, direction: int, changes: list[Change]) -> None:
+        """Outages that have ended; one was said before if it is still open."""
+        if not changes:
+            return
+        said_ns = since_ns = self._open_since_ns if direction == _UP else None
+        name = DIRECTIONS[direction]
+        for at_ns, state in changes:
+            if state == OUTAGE:
+                since_ns = at_ns
+            elif since_ns is not None:
+                lasted_ns = at_ns - since_ns
+                if lasted_ns >= TOLD_NS:
+                    self.outages_ns[direction].append(lasted_ns)
+                    after = f"after {lasted_ns * 1e-9:.2f} s"
+                    self._add(f"the {name} passes again at {self._time(at_ns)}, {after}")
+                elif since_ns == said_ns:
+                    self._add(f"the {name} passes; its report was late")
+        if direction == _UP:
+            self._open_since_ns = None
 
     def _add(self, text: str) -> None:
         self._new.append(Event("netem", text))

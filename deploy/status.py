@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from deploy.events import OUTAGE_NS, Event, Events
+from deploy.events import TOLD_NS, Event, Events
 from shared.bus.base import Delivery
 from shared.report import SOURCES
 from shared.telemetry import Schema, decode_rows
@@ -102,17 +102,17 @@ class Status:
         return "-" if delay_ms is None else f"{delay_ms:.1f}"
 
     def _round_trip_ms(self, schema: Schema, rows: np.ndarray) -> float | None:
-        """There and back, or as long as nothing has come through at all.
-
-        Without a shim here the age of the answer in use, if it is used as it came.
+        """There and back, or as long as nothing has come through at all: by the last state, or by
+        the age of the answer in use if it is used as it came. Without a shim here it is that age.
         """
+        source = SOURCES[int(schema.column(rows, "source")[-1])]
+        age_ns = float(schema.column(rows, "projector_age_ns")[-1])
+        as_it_came = source in ("fresh", "cached") and age_ns >= 0
         if self._delay_ms[0] is None:
-            source = SOURCES[int(schema.column(rows, "source")[-1])]
-            age_ns = float(schema.column(rows, "projector_age_ns")[-1])
-            return age_ns * 1e-6 if source in ("fresh", "cached") and age_ns >= 0 else None
+            return age_ns * 1e-6 if as_it_came else None
         known = sum(delay for delay in self._delay_ms if delay is not None)
-        silence_ns = self.events.silence_ns
-        return max(known, silence_ns * 1e-6) if silence_ns >= OUTAGE_NS else known
+        waited_ns = max(self.events.silence_ns, age_ns if as_it_came else 0)
+        return max(known, waited_ns * 1e-6) if waited_ns >= TOLD_NS else known
 
 
 def sparkline(delays_ms: Iterable[float]) -> str:

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shared.outages import OUTAGE, PASSING, SILENT
 from shared.report import SOURCES
 from shared.robots import Foot
 from shared.telemetry import Schema
 from shared.wbc.contacts import ROWS_PER_FOOT, ROWS_PER_POINT, ContactMode
-from viewer.outages import OUTAGE, PASSING, SILENT
 from viewer.track import Colour
 
 BUCKET_NS = 10_000_000

@@ -15,10 +15,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from shared.errors import UserError
+from shared.outages import OUTAGE_NS
 from shared.robots import load_robot
 from viewer.blueprint import compared_layout, layout
 from viewer.meshes import load_meshes
-from viewer.outages import OUTAGE_NS
 from viewer.plots import BLUE, GREEN, ORANGE, PURPLE, RED, YELLOW
 from viewer.run_folder import RunFolder, read_run
 from viewer.scene import Scene

@@ -15,10 +15,10 @@ import rerun as rr
 
 from shared.config import RunConfig
 from shared.errors import UserError
+from shared.outages import OUTAGE, SILENT, Change, LinkLane
 from shared.robots import Robot
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
 from viewer.meshes import LinkMesh
-from viewer.outages import OUTAGE, SILENT, Change, LinkLane
 from viewer.plots import (
     ACTIVE_SET_PATH,
     LINK_LANES,
@@ -61,7 +61,8 @@ class Scene:
         self._world = World(self._recorder, robot, config, meshes)
         self._task_time = TaskTime()
         self._waiting: deque[tuple[Schema, np.ndarray]] = deque(maxlen=MAX_WAITING_BLOCKS)
-        self._lanes = [LinkLane() for _ in LINKS]
+        # The robot sends all the time; the edge may have nothing to say.
+        self._lanes = [LinkLane(steady=True), LinkLane()]
         self._last_frame: int | None = None
         self._last_wall_ns = 0
         self._overruns: float | None = None

@@ -68,30 +68,47 @@ def test_an_outage_is_told_while_it_lasts_and_with_its_length_when_it_ends(event
     for first in range(100, 700, 100):
         events.take_ticks(TICKS, ticks(first, first + 99))
     # The last state came out at 89 ms.
-    assert texts(events) == ["nothing passes the link since 0.09 s"]
+    assert texts(events) == ["nothing passes the uplink since 0.09 s"]
     events.take_link(LINK_SCHEMA, messages((80, 620), (400, 300), (690, 11)))
-    assert texts(events) == ["the link passes again at 0.70 s, after 0.61 s"]
-    assert events.in_words() == "link stood still 1 ×, at most 0.61 s"
+    assert texts(events) == ["the uplink passes again at 0.70 s, after 0.61 s"]
+    assert events.in_words() == "uplink stood still 1 ×, at most 0.61 s"
 
 
 def test_a_short_outage_is_told_when_it_is_over(events):
     events.take_ticks(TICKS, ticks(100, 199))
     events.take_link(LINK_SCHEMA, messages((80, 160), (200, 41)))
-    assert texts(events) == ["the link passes again at 0.24 s, after 0.15 s"]
+    assert texts(events) == ["the uplink passes again at 0.24 s, after 0.15 s"]
+
+
+def test_an_outage_in_which_all_states_were_lost_is_told_when_it_is_over(events):
+    events.take_ticks(TICKS, ticks(100, 399))
+    lost = [(sent, -1) for sent in range(80, 380)]
+    events.take_link(LINK_SCHEMA, messages(*lost, (380, 10)))
+    assert texts(events) == ["the uplink passes again at 0.39 s, after 0.30 s"]
+
+
+def test_an_outage_of_the_downlink_alone_is_told(events):
+    events.take_link(LINK_SCHEMA, messages(*((sent, 10) for sent in range(80)), direction=1))
+    events.take_ticks(TICKS, ticks(100, 499))
+    stalled = messages(*((sent, 410 - sent) for sent in range(80, 400)), direction=1)
+    passing = messages(*((sent, 10) for sent in range(80, 400)))
+    events.take_link(LINK_SCHEMA, np.concatenate([passing, stalled]))
+    assert texts(events) == ["the downlink passes again at 0.41 s, after 0.32 s"]
+    assert events.in_words() == "downlink stood still 1 ×, at most 0.32 s"
 
 
 def test_a_link_that_was_cut_passes_nothing_though_messages_are_reported_lost(events):
     for first in range(100, 700, 100):
         events.take_ticks(TICKS, ticks(first, first + 99))
         events.take_link(LINK_SCHEMA, messages((first, -1), (first + 50, -1)))
-    assert texts(events) == ["nothing passes the link since 0.09 s"]
-    assert events.in_words() == "nothing passed since 0.09 s"
+    assert texts(events) == ["nothing passes the uplink since 0.09 s"]
+    assert events.in_words() == "nothing passed the uplink since 0.09 s"
 
 
 def test_a_report_that_was_late_is_no_outage(events):
     events.take_ticks(TICKS, ticks(100, 699))
     events.take_link(LINK_SCHEMA, messages(*((sent, 10) for sent in range(80, 690))))
-    assert texts(events)[1:] == ["the link passes; its report was late"]
+    assert texts(events)[1:] == ["the uplink passes; its report was late"]
     assert events.in_words() == ""
 
 
@@ -149,6 +166,16 @@ def test_a_link_that_passes_nothing_is_a_growing_bar(status):
     rows = ticks(3000, 3999)
     status.take_ticks(Delivery(encode_rows(TICKS, rows), envelope=None))
     assert "▃█" in status.line(200)
+
+
+def test_an_answer_in_use_that_grows_old_is_a_growing_bar_too(status):
+    # The uplink passes: what is missing are answers.
+    link = messages(*((3000 + k, 10) for k in range(1000)))
+    status.take_link(Delivery(encode_rows(LINK_SCHEMA, link), envelope=None))
+    for source, bar in ((4, "▃▃"), (1, "▃█")):
+        rows = ticks(3000, 3999, source=source, projector_age_ns=999 * MS)
+        status.take_ticks(Delivery(encode_rows(TICKS, rows), envelope=None))
+        assert f"{bar} " in status.line(200)
 
 
 def test_without_a_shim_the_bars_are_the_age_of_answers_that_are_used_as_they_came():
