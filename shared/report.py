@@ -69,7 +69,12 @@ def robot_report(
     lost: int,
     refused: dict[str, int],
 ) -> dict[str, Any]:
-    """The robot's part, from its tick rows; rows before the task began are left out."""
+    """The robot's part, from its tick rows; rows before the task began are left out.
+
+    A state is `sent` every tick: those without a row found no room in the file of a long run. They
+    count as task, while figures are of the rows, `measured_seconds` of it.
+    """
+    unmeasured = max(0, sent - len(rows))
     rows = in_task(schema, rows)
 
     def column(name: str) -> np.ndarray:
@@ -79,10 +84,11 @@ def robot_report(
     age_ms = column("projector_age_ns") * 1e-6
     violation = column("contact_violation_m_s2")
     waits = switch_to_fresh_ms(schema, rows)
-    seconds = len(rows) * 1e-3
+    seconds = (len(rows) + unmeasured) * 1e-3
     return {
         "fell": fell,
         "task_seconds": round(seconds, 3),
+        "measured_seconds": round(len(rows) * 1e-3, 3),
         "com_error_m": mean(column("com_error_m")),
         "contact_violation_m_s2": mean(violation),
         "foot_slip_mm": quantiles(stance_slips(schema, rows) * 1e3),
@@ -221,6 +227,8 @@ def summary_in_words(summary: dict[str, Any]) -> str:
         + f"; projector age p50 {_number(age['p50'], 'ms')}, p99 {_number(age['p99'], 'ms')}, "
         f"max {_number(age['max'], 'ms')}",
     ]
+    if summary["measured_seconds"] < summary["task_seconds"]:
+        lines.insert(1, f"  figures are of its first {summary['measured_seconds']:.2f} s")
     slip, wait = summary["foot_slip_mm"], summary["switch_to_fresh_ms"]
     discrepancy = summary["active_set_discrepancy"]
     differs = (

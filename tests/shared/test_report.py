@@ -82,8 +82,19 @@ def test_a_robot_report_counts_the_ticks_of_the_task_only():
     assert report["realtime_factor"] == 0.01
 
 
+def test_of_a_run_longer_than_its_file_the_time_is_told_and_how_much_of_it_was_measured():
+    report = robot_part(ticks(40, waiting=10), wall_seconds=0.1, sent=110)
+    assert (report["task_seconds"], report["measured_seconds"]) == (0.1, 0.03)
+    assert report["realtime_factor"] == 1.0
+    words = summary_in_words(
+        summary(RunConfig(), robot=report, edge=None, link=None, discrepancy=None)
+    )
+    assert words.startswith("Stands after 0.10 s")
+    assert "figures are of its first 0.03 s" in words
+
+
 def test_a_run_that_never_began_reports_nothing_and_does_not_fail():
-    report = robot_part(ticks(5, waiting=5), wall_seconds=0.0)
+    report = robot_part(ticks(5, waiting=5), wall_seconds=0.0, sent=5)
     assert report["task_seconds"] == 0.0
     assert report["com_error_m"] is None
     assert report["projector_age_ms"]["p50"] is None
