@@ -15,7 +15,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from deploy.orders import order_restart
 from deploy.registry import Registry
 from deploy.services import load_services
 from deploy.state import ENDED, EXIT_INTERRUPTED, StackFolder, StackState
@@ -95,7 +94,7 @@ def _told(stack: StackFolder, state: StackState, *, alive: bool, now: float) -> 
     elif state.state == ENDED:
         lines = [f"{stack.run}: ended {since} (exit {state.exit_code}): {state.outcome}"]
     else:
-        lines = [f"{stack.run}: its supervisor was killed; the services ended with it"]
+        lines = [f"{stack.run}: its supervisor was killed; its services end with it"]
     lines.append(f"  {'SERVICE':<8} {'PID':>7}  {'STATE':<16} {'SINCE':<26} RESTARTS")
     started = {service.name: service for service in state.services}
     for name in state.named:
@@ -158,6 +157,9 @@ def _lines(file: Path, following: StackFolder | None) -> Iterator[str]:
 
 def restart(arguments: argparse.Namespace) -> int:
     """End one service and start it again; returns when it is ready."""
+    # Imported here: asyncio takes as long as all that the other commands need.
+    from deploy.orders import order_restart
+
     stack, _ = _one_with(arguments.service, arguments)
     if not stack.alive:
         raise ConfigError("nothing is running; ./deploy/up -d starts a stack")
@@ -174,7 +176,9 @@ def down(arguments: argparse.Namespace) -> int:
     running = [each for each in found if each[0].alive]
     if not running:
         print("nothing is running")
-    for _, state in running:
+    for stack, state in running:
+        # A robot that has run for an hour takes minutes to write what it has measured.
+        print(f"{stack.run}: stopping")
         # It holds its lock, so this is still its process.
         with contextlib.suppress(ProcessLookupError):
             os.kill(state.pid, signal.SIGTERM)

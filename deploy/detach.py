@@ -2,37 +2,57 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
-import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable
 from types import FrameType
 
+from deploy.state import EXIT_INTERRUPTED
+from shared.errors import LinkError
+
 _READY = b"ready"
+_ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
-def start_in_background(arguments: Sequence[str]) -> int:
-    """Run `deploy.up` with these arguments in a session of its own.
+def in_background(play: Callable[[int], int]) -> int:
+    """Have a process of its own session run `play(ready_fd)`; returns in both, with an exit code.
 
-    Returns 0 once it says that it is ready, or its exit code if it ends before. Until then it
-    prints to this terminal, and a signal here ends it too.
+    Here 0 once `tell_ready(ready_fd, …)` was called, or its exit code if it ends before. Until then
+    it prints to this terminal, and a signal here ends it too. No thread may have been started yet.
     """
     told, telling = os.pipe()
-    command = [sys.executable, "-m", "deploy.up", *arguments, "--ready-fd", str(telling)]
-    process = subprocess.Popen(
-        command, pass_fds=[telling], stdin=subprocess.DEVNULL, start_new_session=True
-    )
+    sys.stdout.flush()
+    # Held back until there is somebody to be told of them.
+    unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+    process = os.fork()
+    if process == 0:
+        signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
+        os.close(told)
+        os.setsid()
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, 0)
+        os.close(nothing)
+        return play(telling)
     os.close(telling)
 
     def end(number: int, frame: FrameType | None) -> None:
-        process.terminate()
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process, signal.SIGTERM)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _ENDING:
         signal.signal(number, end)
+    signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
     with os.fdopen(told, "rb") as reader:
-        ready = reader.read() == _READY
-    return 0 if ready else process.wait()
+        if reader.read() == _READY:
+            return 0
+    code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    if code == -signal.SIGTERM:
+        return EXIT_INTERRUPTED
+    if code < 0:
+        raise LinkError(f"the stack was killed (signal {-code}) before it was ready")
+    return code
 
 
 def tell_ready(descriptor: int, errors: int) -> None:
@@ -42,5 +62,7 @@ def tell_ready(descriptor: int, errors: int) -> None:
     os.dup2(nothing, sys.stdout.fileno())
     os.dup2(errors, sys.stderr.fileno())
     os.close(nothing)
-    os.write(descriptor, _READY)
+    # Whoever waited may have been killed.
+    with contextlib.suppress(BrokenPipeError):
+        os.write(descriptor, _READY)
     os.close(descriptor)

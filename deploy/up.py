@@ -21,7 +21,7 @@ import sys
 import time
 from pathlib import Path
 
-from deploy.detach import start_in_background
+from deploy.detach import in_background
 from deploy.plan import (
     NETEM,
     ROBOT,
@@ -33,7 +33,7 @@ from deploy.plan import (
     services_of,
 )
 from deploy.registry import Registry
-from deploy.services import load_services
+from deploy.services import Service, load_services
 from deploy.stack import Run, Stack
 from netem.networks import load_network
 from shared.cli import Parser, add_run_arguments, add_view_argument, config_from, run
@@ -49,8 +49,13 @@ from shared.service import add_identity_arguments
 def main() -> int:
     declared = load_services()
     arguments = _parser(", ".join(declared)).parse_args()
-    if arguments.detach and arguments.ready_fd is None:
-        return start_in_background(sys.argv[1:])
+    if arguments.detach:
+        return in_background(lambda ready_fd: _play(arguments, declared, ready_fd))
+    return _play(arguments, declared, None)
+
+
+def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd: int | None) -> int:
+    """The run that the arguments describe; its exit code."""
     config = config_from(arguments)
     chosen = services_of(declared, arguments.only, direct=config.link.network == "direct")
     services = tuple(service.name for service in chosen)
@@ -78,12 +83,10 @@ def main() -> int:
     if arguments.detach:
         Registry().check(None, robot=robot, services=plan.names)
     out = _run_folder(arguments.out, config, services)
-    text = dump_config(config, versions=versions())
-    (out / "config.toml").write_text(text, encoding="utf-8")
     if VIEWER in services and view == "off" and config.view == "auto":
         print("no screen: the run is recorded, not shown (--view web for a browser)", flush=True)
     hub = f"tcp/127.0.0.1:{telemetry}"
-    described = Run(config, plan, out, hub, arguments.name, arguments.ready_fd)
+    described = Run(config, plan, out, hub, arguments.name, ready_fd)
     return asyncio.run(Stack(described).run())
 
 
@@ -100,8 +103,6 @@ def _parser(services: str) -> Parser:
         action="store_true",
         help="return when everything is ready; see ./deploy/ps, logs, restart and down",
     )
-    # Where the process in the background says that it is ready.
-    parser.add_argument("--ready-fd", type=int, help=argparse.SUPPRESS)
     group = parser.add_argument_group(
         "several machines (docs/real-network.md); ENDPOINT: tls/HOST:PORT, or tcp, quic"
     )
@@ -131,6 +132,7 @@ def _parser(services: str) -> Parser:
 
 
 def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) -> Path:
+    """A new folder with the settings in it."""
     if out is None:
         network = config.link.network.replace("/", "-").replace(":", "-").strip(".-")
         what = f"{config.task}-{config.controller}-{network}"
@@ -140,8 +142,10 @@ def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) 
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise ConfigError(f"out: expected a new or empty folder, {out} has files in it")
+        text = dump_config(config, versions=versions())
+        (out / "config.toml").write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ConfigError(f"out: cannot create {out}: {error.strerror}") from None
+        raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
     return out
 
 

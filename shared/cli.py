@@ -10,10 +10,8 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from shared.config import COM_PLANS, CONTROLLERS, TASKS, VIEWS, RunConfig
-from shared.config_file import load_config
 from shared.errors import ConfigError, UserError
 from shared.quantities import parse_angle, parse_duration_ns
-from shared.robots import CATALOGUE
 
 EXIT_STANDING = 0
 EXIT_ERROR = 2
@@ -53,6 +51,9 @@ def run_command(prog: str, description: str | None, commands: Sequence[Command])
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """The options that describe a run; each overrides the configuration file."""
+    # Imported here: a look at a stack that runs should not wait for numpy.
+    from shared.robots import CATALOGUE
+
     group = parser.add_argument_group("the run (flags override --config)")
     group.add_argument("--config", metavar="FILE.toml", help="settings; see docs/configuration.md")
     group.add_argument("--task", help=f"one of {', '.join(TASKS)}")
@@ -132,6 +133,8 @@ _WALK_KEYS = {
 
 def config_from(arguments: argparse.Namespace) -> RunConfig:
     """The run that the arguments describe."""
+    from shared.config_file import load_config
+
     overrides: dict[str, Any] = {}
     for name, key in (_KEYS | _WALK_KEYS).items():
         value = getattr(arguments, name, None)

@@ -1,0 +1,59 @@
+"""A process that leaves its starter, in processes of their own: forks do not belong into a test."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+BEGINS = """
+import os, signal, sys
+from deploy.detach import in_background, tell_ready
+from shared.errors import LinkError
+
+def play(ready_fd):
+    print("begun", flush=True)
+    {0}
+
+try:
+    raise SystemExit(in_background(play))
+except LinkError as error:
+    print(error)
+"""
+READY = "tell_ready(ready_fd, 2); print('unheard'); return 4"
+STDIN_IS_EMPTY = "return 5 if sys.stdin.read() == '' and os.getsid(0) == os.getpid() else 6"
+
+
+@pytest.mark.parametrize(
+    ("play", "code", "told"),
+    [
+        (READY, 0, "begun\n"),
+        ("return 3", 3, "begun\n"),
+        (STDIN_IS_EMPTY, 5, "begun\n"),
+        (
+            "os.kill(os.getpid(), signal.SIGKILL)",
+            0,
+            "begun\nthe stack was killed (signal 9) before it was ready\n",
+        ),
+    ],
+)
+def test_whoever_starts_it_waits_until_it_is_ready_or_has_its_exit_code(play, code, told):
+    done = subprocess.run(
+        [sys.executable, "-c", BEGINS.format(play)],
+        input="typed\n",
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60.0,
+    )
+    assert done.stderr == ""
+    assert (done.returncode, done.stdout) == (code, told)
+
+
+def test_a_signal_until_then_ends_it_too():
+    play = "os.kill(os.getppid(), signal.SIGINT); __import__('time').sleep(60.0); return 0"
+    done = subprocess.run(
+        [sys.executable, "-c", BEGINS.format(play)], capture_output=True, check=False, timeout=50.0
+    )
+    assert done.returncode == 130, done.stderr
