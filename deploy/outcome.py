@@ -49,7 +49,7 @@ def summarise(run: Path, config: RunConfig) -> dict[str, Any] | None:
     text = json.dumps(result, indent=2)
     (run / "summary.json").write_text(text + "\n", encoding="utf-8")
     for stem in (_ROBOT, _EDGE, _LINK):
-        for file in _lives(run, stem, "json"):
+        for file in _lives(run, stem):
             file.unlink()
     return result
 
@@ -62,10 +62,10 @@ def record(run: Path, say: Callable[[str], None]) -> None:
         say(line)
 
 
-def _lives(run: Path, stem: str, kind: str) -> list[Path]:
-    """A service's files of one kind, the earliest life first."""
-    last = run / f"{stem}.{kind}"
-    numbered = sorted(run.glob(f"{stem}.*.{kind}"), key=lambda file: int(file.suffixes[-2][1:]))
+def _lives(run: Path, stem: str) -> list[Path]:
+    """A service's reports, that of the earliest life first."""
+    last = run / f"{stem}.json"
+    numbered = sorted(run.glob(f"{stem}.*.json"), key=lambda file: int(file.suffixes[-2][1:]))
     return [*numbered, *([last] if last.exists() else [])]
 
 
@@ -73,7 +73,7 @@ def _whole(
     run: Path, stem: str, again: Callable[[np.ndarray, list[dict[str, Any]]], dict[str, Any]]
 ) -> dict[str, Any] | None:
     """The report of all lives together, made `again` if there were several."""
-    found = [_report(file) for file in _lives(run, stem, "json")]
+    found = [_report(file) for file in _lives(run, stem)]
     reports = [report for report in found if report is not None]
     if len(reports) > 1:
         return again(_rows(run, stem), reports)
@@ -81,7 +81,9 @@ def _whole(
 
 
 def _rows(run: Path, stem: str) -> np.ndarray:
-    return np.concatenate([read_parquet(file)[1] for file in _lives(run, stem, "parquet")])
+    """Of the lives that have a report: a table without one was not written to its end."""
+    tables = [file.with_suffix(".parquet") for file in _lives(run, stem)]
+    return np.concatenate([read_parquet(table)[1] for table in tables])
 
 
 def _edge_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, Any]:
@@ -110,10 +112,9 @@ def _added(counts: Iterable[dict[str, int]]) -> dict[str, int]:
 
 def _discrepancy(run: Path) -> dict[str, Any] | None:
     """The report of the active set; of the ticks whose state the edge has solved."""
-    ticks = run / f"{_ROBOT}.parquet"
-    if not ticks.exists() or not _lives(run, _EDGE, "parquet"):
+    if not _lives(run, _EDGE):
         return None
-    schema, rows = read_parquet(ticks, columns=_COMPARED)
+    schema, rows = read_parquet(run / f"{_ROBOT}.parquet", columns=_COMPARED)
     return discrepancy_report(schema, rows, _rows(run, _EDGE))
 
 

@@ -26,13 +26,14 @@ from deploy.state import (
     READY,
     STARTING,
     STOPPING,
+    LineFile,
     StackFolder,
     StackState,
 )
 from deploy.supervisor import Launch, Supervisor
 from deploy.terminal import Terminal
 from deploy.watch import open_hub, status_of, tell
-from shared.cli import EXIT_ERROR, EXIT_STANDING
+from shared.cli import EXIT_ERROR, EXIT_FELL, EXIT_STANDING
 from shared.config import RunConfig
 from shared.errors import LinkError, UserError
 from shared.report import summary_in_words
@@ -86,26 +87,40 @@ class Stack:
     async def run(self) -> int:
         """Until the robot has finished, a service has ended, or a signal; the exit code."""
         loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        ending = [signal.SIGINT, signal.SIGTERM]
+        # Under nohup the end of the terminal is nothing to us.
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            ending.append(signal.SIGHUP)
+        for number in ending:
             loop.add_signal_handler(number, self._stop.set)
         with self._claimed():
             for line in (f"run folder: {self._out}", *self._run.plan.notes):
                 self._terminal.tell(line)
             hub = open_hub(self._run.telemetry, self._status, robot=self._run.config.robot.name)
+            failure: LinkError | None = None
+            code = EXIT_ERROR
             try:
                 async with OrderDesk(self._folder, self._supervisor.restart):
                     code = await self._play()
+            except LinkError as error:
+                failure = error
             finally:
                 self._terminal.clear()
                 self._put(STOPPING)
                 await self._supervisor.stop()
                 hub.close()
-            return self._finish(code)
+            outcome = self._sum_up()
+            if failure is not None:
+                raise failure
+            if not outcome:
+                self._terminal.tell(f"files: {self._out}")
+            self._put(STOPPING, outcome=outcome or "stopped", exit_code=code)
+            return code
 
     @contextlib.contextmanager
     def _claimed(self) -> Iterator[None]:
         """The stack's folder is ours, and says how we ended; in the background, also where."""
-        with self._folder.claim(), self._folder.log.open("a", encoding="utf-8") as log:
+        with self._folder.claim(), LineFile(self._folder.log) as log:
             self._terminal = Terminal(copy=log)
             self._put(STARTING)
             ended = {"outcome": "it was killed by an error of its own", "exit_code": EXIT_ERROR}
@@ -166,15 +181,15 @@ class Stack:
                 tell(self._status, self._terminal)
             await asyncio.wait({ending}, timeout=_STATUS_SECONDS)
         service, code = ending.result()
-        if service.end != OUTCOME:
-            self._terminal.clear()
-            before = " before the robot" if self._run.plan.has(ROBOT) else ""
-            raise LinkError(
-                f"{service.name} ended (exit {code}){before}: everything was stopped; its "
-                f"log is {self._out / service.name}.log"
-            )
-        await self._linger()
-        return code
+        if service.end == OUTCOME and code in (EXIT_STANDING, EXIT_FELL, EXIT_INTERRUPTED):
+            await self._linger()
+            return code
+        # An error of the robot's own is its last line.
+        reason = self._supervisor.last_line(service.name).removeprefix("error: ")
+        raise LinkError(
+            f"{service.name} ended (exit {code}): everything was stopped; its log is "
+            f"{self._out / service.name}.log; it said last: {reason}"
+        )
 
     async def _linger(self) -> None:
         """Leave a view open for the person in front of it until Ctrl-C or until it is closed."""
@@ -221,22 +236,23 @@ class Stack:
         )
         self._folder.write(self._state)
 
-    def _finish(self, code: int) -> int:
-        """Sum up; the exit code."""
-        result = summarise(self._out, self._run.config)
-        outcome = "stopped"
-        if result is not None:
-            # A view that was started again has recorded its last life only. In the background
-            # nobody waits to look at it, but somebody for the end.
-            whole = (self._out / "recording.rrd").exists() and VIEWER not in self._restarted
-            if not whole and self._run.ready_fd is None:
-                record(self._out, lambda line: self._say(VIEWER, line))
-            told = summary_in_words(result)
-            outcome = told.splitlines()[0]
-            self._terminal.tell("\n".join([told, *self._happened()]))
-        self._terminal.tell(f"{'  ' if result else ''}files: {self._out}")
-        self._put(STOPPING, outcome=outcome, exit_code=code)
-        return code
+    def _sum_up(self) -> str:
+        """Tell what the robot's run came to, if there was one; in a line."""
+        try:
+            result = summarise(self._out, self._run.config)
+        except OSError as error:
+            self._terminal.tell(f"no summary: {error}")
+            return ""
+        if result is None:
+            return ""
+        # A view that was started again has recorded its last life only. In the background nobody
+        # waits to look at it, but somebody for the end.
+        whole = (self._out / "recording.rrd").exists() and VIEWER not in self._restarted
+        if not whole and self._run.ready_fd is None:
+            record(self._out, lambda line: self._say(VIEWER, line))
+        told = summary_in_words(result)
+        self._terminal.tell("\n".join([told, *self._happened(), f"  files: {self._out}"]))
+        return told.splitlines()[0]
 
     def _happened(self) -> list[str]:
         """What the summary, made of the services' files, does not know."""

@@ -55,6 +55,25 @@ class StackState:
     exit_code: int | None = None
 
 
+class LineFile:
+    """Lines added to a file, each at once. Those that a full disk has no room for are missing."""
+
+    def __init__(self, path: Path) -> None:
+        # Without a buffer: one that cannot be written would be tried again with every line.
+        self._file = path.open("ab", buffering=0)
+
+    def __enter__(self) -> LineFile:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._file.close()
+
+    def add(self, line: str) -> None:
+        """Add a line."""
+        with contextlib.suppress(OSError):
+            self._file.write(f"{line}\n".encode())
+
+
 class StackFolder:
     """The stack's files in the folder of a run."""
 
@@ -68,8 +87,11 @@ class StackFolder:
 
     def claim(self) -> TextIO:
         """Make the folder and hold its lock, until what is returned is closed or we end."""
-        self.folder.mkdir(exist_ok=True)
-        held = self._lock.open("w", encoding="ascii")
+        try:
+            self.folder.mkdir(exist_ok=True)
+            held = self._lock.open("w", encoding="ascii")
+        except OSError as error:
+            raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
         fcntl.flock(held, fcntl.LOCK_EX)
         return held
 
@@ -86,10 +108,15 @@ class StackFolder:
         return False
 
     def write(self, state: StackState) -> None:
-        """Replace the state: whoever reads it finds the old one or the new one."""
+        """Replace the state: whoever reads it finds the old one or the new one.
+
+        A full disk leaves the old one: it stops no run.
+        """
         new = self._state.with_suffix(".new")
-        new.write_text(json.dumps(dataclasses.asdict(state), indent=2) + "\n", encoding="utf-8")
-        os.replace(new, self._state)
+        text = json.dumps(dataclasses.asdict(state), indent=2)
+        with contextlib.suppress(OSError):
+            new.write_text(text + "\n", encoding="utf-8")
+            os.replace(new, self._state)
 
     def read(self) -> StackState:
         """The last state; `ConfigError` if this is no folder of a run."""

@@ -18,10 +18,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from deploy.services import IGNORED, OUTCOME, Service
-from deploy.state import ENDED, READY, STARTING, STOPPING, ServiceState
+from deploy.state import ENDED, READY, STARTING, STOPPING, LineFile, ServiceState
 from shared.errors import ConfigError, LinkError
 
 _PR_SET_PDEATHSIG = 1
+# Loaded here: between fork and exec another thread may hold the loader's lock for ever.
+_LIBC = ctypes.CDLL(None)
 
 
 @dataclass(frozen=True)
@@ -81,22 +83,31 @@ class Supervisor:
     async def restart(self, name: str) -> None:
         """End a service, start it again and wait until it is ready.
 
-        `ConfigError` if it is not running, or if its end is the end of the run; `LinkError` if it
-        does not come back, which is then its end.
+        One whose end the run survives may have ended before. `ConfigError` if it is not running,
+        or if its end is the end of the run; `LinkError` if it does not come back, which is then its
+        end.
         """
         child = self._children.get(name)
-        if child is None or child.state != READY or child.watch is None:
-            ready = [each.name for each in self._children.values() if each.state == READY]
-            raise ConfigError(f"restart: expected one of {', '.join(ready)}, got {name}")
-        if child.launch.service.end == OUTCOME:
+        if child is None:
+            raise ConfigError(f"restart: expected one of {', '.join(self._children)}, got {name}")
+        service = child.launch.service
+        if service.end == OUTCOME:
             raise ConfigError(f"restart: the run ends with {name}: ./deploy/down, then up again")
-        child.watch.cancel()
+        if child.state != READY and (child.state, service.end) != (ENDED, IGNORED):
+            raise ConfigError(f"restart: {name} is {child.state} already; ./deploy/ps shows it")
+        # At once, so that a second order finds it.
+        self._put(child, STOPPING)
+        if child.watch is not None:
+            child.watch.cancel()
         back: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         child.watch = asyncio.create_task(self._restart(child, back))
         await back
 
     async def wait(self) -> tuple[Service, int]:
-        """Wait for the first end that matters; which service, and its exit code."""
+        """Wait for the first end that matters; which service, and its exit code.
+
+        The code is negative for a process that a signal has killed.
+        """
         ends = [await self._ended.get()]
         while not self._ended.empty():
             ends.append(self._ended.get_nowait())
@@ -107,6 +118,10 @@ class Supervisor:
         """Whether a service has been started and has not ended."""
         child = self._children.get(name)
         return child is not None and child.process.returncode is None
+
+    def last_line(self, name: str) -> str:
+        """The last that a service has said."""
+        return self._children[name].last_line
 
     def states(self) -> list[ServiceState]:
         """Of every service that has been started."""
@@ -132,6 +147,8 @@ class Supervisor:
         await asyncio.gather(
             *(child.watch for child in children if child.watch is not None), return_exceptions=True
         )
+        # What has ended is gone, and its number may be another's by now.
+        children = [child for child in children if child.state != ENDED]
         for child in children:
             _signal_group(child.process, signal.SIGTERM)
         for child in children:
@@ -162,12 +179,14 @@ class Supervisor:
         if child.ready.is_set():
             self._put(child, READY)
             return
+        if not done:
+            _signal_group(child.process, signal.SIGTERM)
+        await self._end(child)
+        self._put(child, ENDED)
         if done:
-            code = await child.process.wait()
-            self._put(child, ENDED)
             reason = child.last_line.removeprefix("error: ")
+            code = child.process.returncode
             raise LinkError(f"{child.name} did not start (exit {code}): {reason}")
-        _signal_group(child.process, signal.SIGTERM)
         raise LinkError(
             f"{child.name} was not ready within {child.launch.ready_seconds:g} s; its log is "
             f"{self._folder / child.name}.log"
@@ -194,7 +213,6 @@ class Supervisor:
 
     async def _restart(self, child: _Child, back: asyncio.Future[None]) -> None:
         try:
-            self._put(child, STOPPING)
             _signal_group(child.process, signal.SIGTERM)
             await self._again(child)
         except LinkError as error:
@@ -245,11 +263,10 @@ class Supervisor:
     async def _read(self, child: _Child) -> None:
         assert child.process.stdout is not None
         name, ready = child.name, child.launch.service.ready
-        with (self._folder / f"{name}.log").open("a", encoding="utf-8") as log:
+        with LineFile(self._folder / f"{name}.log") as log:
             async for raw in child.process.stdout:
                 line = raw.decode(errors="replace").rstrip()
-                log.write(line + "\n")
-                log.flush()
+                log.add(line)
                 if line.startswith(ready):
                     child.ready.set()
                 if line:
@@ -266,4 +283,4 @@ def _signal_group(
 
 
 def _die_with_parent() -> None:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

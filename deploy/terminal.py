@@ -6,11 +6,13 @@ then, and nothing is coloured. Whatever is said also goes to a `copy`, which is 
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import sys
 import time
-from typing import TextIO
+
+from deploy.state import LineFile
 
 _COLOURS = {
     "edge": "\033[34m",
@@ -27,7 +29,7 @@ _SAID = re.compile(r" *([a-z0-9_-]+) \| (.*)")
 class Terminal:
     """Prints services' lines with their name; keeps the status line last."""
 
-    def __init__(self, copy: TextIO | None = None) -> None:
+    def __init__(self, copy: LineFile | None = None) -> None:
         self._copy = copy
         self._live = sys.stdout.isatty()
         self._quiet = False
@@ -68,15 +70,15 @@ class Terminal:
             return
         if self._live:
             self._status = status[: self.columns]
-            print(f"{_CLEAR_LINE}{self._status}", end="", flush=True)
+            self._write(f"{_CLEAR_LINE}{self._status}")
         elif now - self._last_plain >= _PLAIN_SECONDS and status != self._status:
             self._last_plain, self._status = now, status
-            print(f"status | {status}", flush=True)
+            self._write(f"status | {status}\n")
 
     def clear(self) -> None:
         """Remove the status line."""
         if self._live and self._status:
-            print(_CLEAR_LINE, end="", flush=True)
+            self._write(_CLEAR_LINE)
         self._status = ""
 
     def leave(self) -> None:
@@ -85,17 +87,20 @@ class Terminal:
         self._quiet = True
 
     def _print(self, text: str) -> None:
-        if self._quiet:
-            return
-        if self._live:
-            print(f"{_CLEAR_LINE}{text}\n{self._status}", end="", flush=True)
-        else:
-            print(text, flush=True)
+        if not self._quiet:
+            self._write(f"{_CLEAR_LINE}{text}\n{self._status}" if self._live else f"{text}\n")
+
+    def _write(self, text: str) -> None:
+        try:
+            print(text, end="", flush=True)
+        except OSError:
+            # Whoever read this has left, or the terminal was closed: no reason to end a run.
+            self._quiet = True
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
     def _keep(self, text: str) -> None:
         if self._copy is not None:
-            self._copy.write(text + "\n")
-            self._copy.flush()
+            self._copy.add(text)
 
 
 def said(line: str) -> tuple[str, str] | None:

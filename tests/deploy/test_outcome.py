@@ -55,6 +55,17 @@ def test_lives_of_a_service_that_was_started_again_count_together(tmp_path: Path
     assert left == {"summary.json", *rows}
 
 
+def test_a_table_that_was_not_written_to_its_end_is_left_out(tmp_path: Path):
+    robot_life(tmp_path)
+    edge_life(tmp_path, solve_ms=1.0, sent=100, refused={})
+    keep_report(tmp_path, "edge")
+    (tmp_path / "edge.parquet").write_bytes(b"PAR1")
+    result = summarise(tmp_path, RunConfig())
+    assert result is not None
+    assert result["edge_solves"] == {"solved": 100}
+    assert result["active_set_discrepancy"]["ticks"] == [10]
+
+
 def test_a_life_that_left_nothing_is_not_missed(tmp_path: Path):
     keep_report(tmp_path, "edge")
     keep_report(tmp_path, "")

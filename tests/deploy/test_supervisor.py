@@ -22,6 +22,8 @@ FAILS_ONCE = (
     "print('READY', flush=True); __import__('time').sleep(60 if again else 0); raise SystemExit(4)"
 )
 SLEEPS = "print('READY', flush=True); __import__('time').sleep(60)"
+# Never ready, and deaf to a termination signal.
+DEAF = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"
 
 
 class Run:
@@ -37,9 +39,10 @@ class Run:
             before_restart=lambda service: self.restarted.append(service.name),
         )
 
-    async def start(self, name: str, code: str, **changes) -> None:
+    async def start(self, name: str, code: str, *, ready_seconds: float = 60.0, **changes) -> None:
         service = dataclasses.replace(load_services()[name], **changes)
-        await self.supervisor.start(Launch(service, (sys.executable, "-c", code), 60.0))
+        command = (sys.executable, "-c", code)
+        await self.supervisor.start(Launch(service, command, ready_seconds))
 
     def state(self, name: str) -> str:
         return next(each.state for each in self.supervisor.states() if each.name == name)
@@ -76,6 +79,26 @@ def test_a_service_that_ends_before_it_is_ready_is_told_with_its_last_line(tmp_p
     async def scenario(run: Run):
         with pytest.raises(LinkError, match=r"edge did not start \(exit 2\): no port"):
             await run.start("edge", "print('error: no port'); raise SystemExit(2)")
+
+    played(tmp_path, scenario)
+
+
+def test_a_service_that_is_not_ready_in_time_is_ended(tmp_path: Path):
+    async def scenario(run: Run):
+        with pytest.raises(LinkError, match=r"edge was not ready within 0\.5 s"):
+            await run.start("edge", DEAF, ready_seconds=0.5, stop_seconds=0.1)
+        assert run.state("edge") == ENDED
+        assert not run.supervisor.running("edge")
+
+    played(tmp_path, scenario)
+
+
+def test_output_that_finds_no_room_on_the_disk_is_shown_all_the_same(tmp_path: Path):
+    (tmp_path / "edge.log").symlink_to("/dev/full")
+
+    async def scenario(run: Run):
+        await run.start("edge", "print('hello'); " + SLEEPS)
+        assert run.said == ["edge: hello", "edge: READY"]
 
     played(tmp_path, scenario)
 
@@ -138,6 +161,44 @@ def test_a_restart_is_another_process_and_no_end(tmp_path: Path):
 
     played(tmp_path, scenario)
     assert (tmp_path / "netem.log").read_text() == "READY\nREADY\n"
+
+
+def test_of_two_restarts_at_a_time_one_is_refused(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.start("netem", SLEEPS)
+        both = [run.supervisor.restart("netem") for _ in range(2)]
+        first, second = await asyncio.gather(*both, return_exceptions=True)
+        assert first is None
+        assert isinstance(second, ConfigError)
+        assert "netem is stopping already" in str(second)
+        assert run.supervisor.states()[0].restarts == 1
+
+    played(tmp_path, scenario)
+
+
+def test_a_view_that_has_ended_can_be_started_again(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.start("viewer", FAILS_ONCE.format(tmp_path / "first"))
+        while run.state("viewer") != ENDED:
+            await asyncio.sleep(0.01)
+        await run.supervisor.restart("viewer")
+        assert run.state("viewer") == READY
+
+    played(tmp_path, scenario)
+
+
+def test_the_number_of_what_has_ended_may_be_another_process(tmp_path: Path, monkeypatch):
+    async def scenario(run: Run):
+        await run.start("viewer", FAILS)
+        while run.state("viewer") != ENDED:
+            await asyncio.sleep(0.01)
+        signalled: list[int] = []
+        monkeypatch.setattr(os, "killpg", lambda pid, number: signalled.append(pid))
+        await run.supervisor.stop()
+        monkeypatch.undo()
+        assert signalled == []
+
+    played(tmp_path, scenario)
 
 
 def test_a_restart_that_does_not_come_back_is_an_error_and_the_end(tmp_path: Path):

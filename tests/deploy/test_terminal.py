@@ -1,14 +1,28 @@
 from __future__ import annotations
 
-import io
 import itertools
+import os
 import sys
+from pathlib import Path
 
+import pytest
+
+from deploy.state import LineFile
 from deploy.terminal import Terminal, said
 
 
-def test_elsewhere_than_on_a_terminal_there_are_no_escape_codes(capsys):
-    copy = io.StringIO()
+@pytest.fixture
+def copy(tmp_path: Path):
+    with LineFile(tmp_path / "log") as file:
+        yield file
+
+
+@pytest.fixture
+def kept(tmp_path: Path):
+    return lambda: (tmp_path / "log").read_text()
+
+
+def test_elsewhere_than_on_a_terminal_there_are_no_escape_codes(copy, kept, capsys):
     terminal = Terminal(copy)
     terminal.say("edge", "READY")
     terminal.show("t 1 s")
@@ -16,13 +30,12 @@ def test_elsewhere_than_on_a_terminal_there_are_no_escape_codes(capsys):
     terminal.clear()
     terminal.tell("Stands\n  files")
     assert capsys.readouterr().out == "  edge | READY\nstatus | t 1 s\nStands\n  files\n"
-    assert copy.getvalue() == "  edge | READY\nStands\n  files\n"
+    assert kept() == "  edge | READY\nStands\n  files\n"
 
 
-def test_on_a_terminal_the_status_line_stays_last_and_fits(monkeypatch, capsys):
+def test_on_a_terminal_the_status_line_stays_last_and_fits(copy, kept, monkeypatch, capsys):
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "30")
-    copy = io.StringIO()
     terminal = Terminal(copy)
     terminal.show("x" * 100)
     assert capsys.readouterr().out.endswith("\r\x1b[2K" + "x" * 29)
@@ -31,11 +44,10 @@ def test_on_a_terminal_the_status_line_stays_last_and_fits(monkeypatch, capsys):
     assert out.startswith("\r\x1b[2K\x1b[34m")
     assert out.endswith("hello\n" + "x" * 29)
     # For whoever reads it later.
-    assert copy.getvalue() == "  edge | hello\n"
+    assert kept() == "  edge | hello\n"
 
 
-def test_whoever_was_left_hears_no_more_and_the_copy_goes_on(capsys):
-    copy = io.StringIO()
+def test_whoever_was_left_hears_no_more_and_the_copy_goes_on(copy, kept, capsys):
     terminal = Terminal(copy)
     terminal.leave()
     terminal.say("edge", "READY")
@@ -43,7 +55,26 @@ def test_whoever_was_left_hears_no_more_and_the_copy_goes_on(capsys):
     terminal.tell("Stands")
     terminal.note("error: none")
     assert capsys.readouterr().out == ""
-    assert copy.getvalue() == "  edge | READY\nStands\nerror: none\n"
+    assert kept() == "  edge | READY\nStands\nerror: none\n"
+
+
+def test_whoever_has_left_is_no_reason_to_end_and_the_copy_goes_on(copy, kept, monkeypatch):
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as nobody:
+        monkeypatch.setattr(sys, "stdout", nobody)
+        terminal = Terminal(copy)
+        for line in ("READY", "stopped"):
+            terminal.say("edge", line)
+        terminal.show("t 1 s")
+        terminal.clear()
+    assert kept() == "  edge | READY\n  edge | stopped\n"
+
+
+def test_a_full_disk_is_no_reason_to_end(capsys):
+    with LineFile(Path("/dev/full")) as full:
+        Terminal(full).say("edge", "READY")
+    assert capsys.readouterr().out == "  edge | READY\n"
 
 
 def test_a_line_of_a_copy_is_known_by_who_said_it():

@@ -6,6 +6,8 @@ import json
 import os
 import signal
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +22,7 @@ from shared.config_file import load_config
 from shared.robots import CATALOGUE, load_robot
 from shared.telemetry import read_parquet
 from shared.wire.channels import DOWNLINK
-from tests.live.conftest import Process, descendants_naming
+from tests.live.conftest import ROOT, Process, descendants_naming
 
 pytestmark = pytest.mark.live
 
@@ -133,28 +135,46 @@ def test_up_says_with_its_exit_code_that_the_robot_fell(start: Start, tmp_path: 
     assert "FELL" in up.output
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_interrupted_up_stops_everything_and_keeps_what_was_measured(
-    start: Start, tmp_path: Path
+    start: Start, tmp_path: Path, number: signal.Signals
 ) -> None:
     out = tmp_path / "run"
     up = start("deploy.up", "--view", "off", "--duration", "60", "--out", str(out))
     up.wait_for("the task begins", seconds=60.0)
     time.sleep(0.5)
-    up.signal(signal.SIGINT)
+    up.signal(number)
     assert up.wait(seconds=60.0) == 130, up.output
     assert json.loads((out / "summary.json").read_text())["task_seconds"] > 0.0
     assert descendants_naming(str(out)) == []
 
 
-def test_death_of_a_service_ends_the_run_with_its_name(start: Start, tmp_path: Path) -> None:
+def test_whoever_reads_its_output_may_leave_and_the_run_goes_on(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    command = [sys.executable, "-m", "deploy.up", "--controller", "lc", "--view", "off"]
+    command += ["--duration", "1", "--push", "none", "--out", str(out)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as up:
+        assert up.stdout is not None
+        up.stdout.readline()
+        up.stdout.close()
+        assert up.wait(timeout=90.0) == 0
+    assert json.loads((out / "summary.json").read_text())["task_seconds"] == 1.0
+    assert "Stands after" in (out / "stack/log").read_text()
+    assert descendants_naming(str(out)) == []
+
+
+@pytest.mark.parametrize("module", ["netem", "robot_node"])
+def test_death_of_a_service_ends_the_run_with_its_name(
+    start: Start, tmp_path: Path, module: str
+) -> None:
     out = tmp_path / "run"
     up = start("deploy.up", "--view", "off", "--duration", "60", "--out", str(out))
     up.wait_for("the task begins", seconds=60.0)
-    victim = [pid for pid in descendants_naming(str(out)) if _module(pid) == "netem"]
+    victim = [pid for pid in descendants_naming(str(out)) if _module(pid) == module]
     assert len(victim) == 1
     os.kill(victim[0], signal.SIGKILL)
     assert up.wait(seconds=60.0) == 2, up.output
-    assert "netem ended" in up.output
+    assert f"error: {module.removesuffix('_node')} ended (exit -9)" in up.output
     assert descendants_naming(str(out)) == []
 
 
