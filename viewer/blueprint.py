@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from shared.config import RunConfig
+from shared.robots import load_robot
 from viewer.plots import (
     ACTIVE_SET_HEIGHTS,
     ACTIVE_SET_PATH,
@@ -20,34 +22,27 @@ from viewer.plots import (
     MAX_CONTACT_VIOLATION,
 )
 from viewer.recorder import TIMELINE
+from viewer.track import SIDE_BY_SIDE
 
 LIVE_WINDOW = 20.0  # seconds
 _COM_ERROR = f"CoM error [cm], at most {MAX_COM_ERROR_CM:g} drawn"
 _CONTACT_VIOLATION = f"Contact violation [m/s²], at most {MAX_CONTACT_VIOLATION:g}"
+_LEFT, _RIGHT = rrb.Corner2D.LeftTop, rrb.Corner2D.RightTop
 # Of a walk, this much of the way is looked at from the start [m].
 _LOOK_AHEAD = 1.5
+# A humanoid is so much taller than its base is high, and with its arms so wide for its height.
+_HEIGHT, _WIDTH = 1.75, 0.6
 
 
 def layout(config: RunConfig, *, live: bool, picture: bool = False) -> rrb.Blueprint:
     """The blueprint of a live view, of a finished recording, or of a picture of one."""
+    correction = _plot("Correction (LC)", "plots/correction", legend=_LEFT, live=live)
     corrected = config.controller == "lc"
-    compute = _plot("Computation [ms]", "plots/compute", legend=True, live=live)
-    last = rrb.Horizontal(
-        _plot(
-            "Active set (friction, least force)",
-            ACTIVE_SET_PATH,
-            live=live,
-            heights=(-1.0, float(ACTIVE_SET_HEIGHTS[-1]) + 1.0),
-        ),
-        _plot("Correction (LC)", "plots/correction", legend=True, live=live)
-        if corrected
-        else compute,
-    )
     return _blueprint(
-        _robot_view(config),
+        _robot_view([config]),
         rrb.Vertical(
             rrb.Horizontal(
-                _plot("Link delay [ms]", "plots/delay", legend=True, live=live),
+                _plot("Link delay [ms]", "plots/delay", legend=_RIGHT, live=live),
                 _plot("Projector age [ms]", "plots/projector_age", live=live),
             ),
             _lanes(),
@@ -55,9 +50,19 @@ def layout(config: RunConfig, *, live: bool, picture: bool = False) -> rrb.Bluep
                 _plot(_COM_ERROR, "plots/com_error", live=live),
                 _plot(_CONTACT_VIOLATION, "plots/contact_violation", live=live),
             ),
-            last,
-            *([compute] if corrected else []),
-            row_shares=[2.6, 3.9, 2.6, 2.6, 2.2] if corrected else [2.6, 3.3, 2.6, 2.6],
+            rrb.Horizontal(
+                _plot(
+                    "Active set",
+                    ACTIVE_SET_PATH,
+                    live=live,
+                    heights=(-1.0, float(ACTIVE_SET_HEIGHTS[-1]) + 1.0),
+                ),
+                *([correction] if corrected else []),
+                _plot("Computation [ms]", "plots/compute", legend=_RIGHT, live=live),
+                column_shares=[0.8, 1.0, 1.1] if corrected else None,
+            ),
+            # All lanes are seen on the screen of a small laptop.
+            row_shares=[2.4, 3.4, 2.4, 2.4],
         ),
         live=live,
         picture=picture,
@@ -67,18 +72,18 @@ def layout(config: RunConfig, *, live: bool, picture: bool = False) -> rrb.Bluep
 def compared_layout(configs: Sequence[RunConfig], *, picture: bool = False) -> rrb.Blueprint:
     """The blueprint of several finished runs: robots side by side, their lines in one plot."""
     return _blueprint(
-        _robot_view(configs[0], robots=len(configs)),
+        _robot_view(configs),
         rrb.Vertical(
             rrb.Horizontal(
-                _plot("Link delay [ms]", "plots/delay", legend=True),
-                _plot("Projector age [ms]", "plots/projector_age", legend=True),
+                _plot("Link delay [ms]", "plots/delay", legend=_RIGHT),
+                _plot("Projector age [ms]", "plots/projector_age", legend=_RIGHT),
             ),
             _lanes("lanes/command", "lanes/uplink"),
             rrb.Horizontal(
-                _plot(_COM_ERROR, "plots/com_error", legend=True),
-                _plot(_CONTACT_VIOLATION, "plots/contact_violation", legend=True),
+                _plot(_COM_ERROR, "plots/com_error", legend=_RIGHT),
+                _plot(_CONTACT_VIOLATION, "plots/contact_violation", legend=_RIGHT),
             ),
-            row_shares=[3.0, 0.7 + 0.9 * len(configs), 3.0],
+            row_shares=[3.0, 0.8 + 1.05 * len(configs), 3.0],
         ),
         live=False,
         picture=picture,
@@ -103,18 +108,32 @@ def _blueprint(
     )
 
 
-def _robot_view(config: RunConfig, *, robots: int = 1) -> rrb.Spatial3DView:
-    """From before the robots and a little from their right; of a walk, from where all of it is
-    seen, or the beginning of a long one.
+def camera(configs: Sequence[RunConfig]) -> tuple[np.ndarray, np.ndarray]:
+    """Where it is and what it looks at, each (3,) [m, world], for robots side by side.
+
+    From before them and a little from their right, all of them in the picture; of a walk, from
+    where all of it is seen, or the beginning of a long one.
     """
-    ahead = 0.0
-    if config.task == "walk":
-        ahead = config.walk.steps * config.walk.step_length / 2
-        ahead = max(-_LOOK_AHEAD, min(ahead, _LOOK_AHEAD))
-    back = 0.9 + 0.32 * (robots - 1) + 0.4 * abs(ahead)
-    aside = -0.85 / robots
-    target = (ahead, 0.0, 0.6)
-    eye = (ahead + 1.95 * back, aside * back, 0.6 + 0.55 * back + abs(ahead))
+    height = _HEIGHT * max(load_robot(each.robot.name).q_standing[2] for each in configs)
+    width = _WIDTH * height + (len(configs) - 1) * SIDE_BY_SIDE
+    ahead = max((_half_way(each) for each in configs), key=abs)
+    distance = max(1.35 * height, 1.2 * width) + 0.9 * abs(ahead)
+    towards = np.array([1.95, -0.85 / len(configs), 0.55])
+    target = np.array([ahead, 0.0, 0.41 * height])
+    eye = target + distance * towards / np.linalg.norm(towards) + [0.0, 0.0, abs(ahead)]
+    return eye, target
+
+
+def _half_way(config: RunConfig) -> float:
+    """How far ahead the middle of a walk is, or of the beginning of a long one [m]."""
+    if config.task != "walk":
+        return 0.0
+    half = config.walk.steps * config.walk.step_length / 2
+    return max(-_LOOK_AHEAD, min(half, _LOOK_AHEAD))
+
+
+def _robot_view(configs: Sequence[RunConfig]) -> rrb.Spatial3DView:
+    eye, target = camera(configs)
     return rrb.Spatial3DView(
         origin="world",
         name="Robot",
@@ -138,7 +157,7 @@ def _plot(
     name: str,
     path: str,
     *,
-    legend: bool = False,
+    legend: rrb.Corner2D | None = None,
     live: bool = False,
     heights: tuple[float, float] | None = None,
 ) -> rrb.TimeSeriesView:
@@ -146,7 +165,7 @@ def _plot(
     return rrb.TimeSeriesView(
         origin=path,
         name=name,
-        plot_legend=rrb.PlotLegend(corner="righttop", visible=legend),
+        plot_legend=rrb.PlotLegend(corner=legend, visible=legend is not None),
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=None if heights is None else rrb.ScalarAxis(range=heights),
         time_ranges=window if live else None,

@@ -22,13 +22,11 @@ from viewer.meshes import load_meshes
 from viewer.plots import BLUE, GREEN, ORANGE, PURPLE, RED, YELLOW
 from viewer.run_folder import RunFolder, read_run
 from viewer.scene import Scene
-from viewer.track import Track
+from viewer.track import SIDE_BY_SIDE, Track
 
 APPLICATION = "remote-wbc"
 # Of the runs that are compared, in their order.
 RUN_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, YELLOW, RED)
-# Robots side by side stand this far apart [m].
-SIDE_BY_SIDE = 1.2
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,9 @@ import rerun as rr
 
 Colour = tuple[int, int, int]
 
+# Robots side by side stand this far apart [m].
+SIDE_BY_SIDE = 1.2
+
 
 @dataclass(frozen=True)
 class Track:
