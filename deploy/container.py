@@ -57,14 +57,19 @@ async def _serve(service: Service, arguments: list[str]) -> int:
             running.cancel()
             await supervisor.stop()
         codes = [state.exit_code for state in supervisor.states()]
-        return next((code for code in codes if code is not None), 0)
+        return _code(next((code for code in codes if code is not None), 0))
 
 
 async def _play(supervisor: Supervisor, launch: Launch) -> int:
     await supervisor.start(launch)
     READY_FILE.touch()
     _, code = await supervisor.wait()
-    return code
+    return _code(code)
+
+
+def _code(code: int) -> int:
+    """An exit code; of a process that a signal has killed as Docker has it."""
+    return code if code >= 0 else 128 - code
 
 
 if __name__ == "__main__":

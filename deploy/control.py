@@ -17,7 +17,7 @@ from pathlib import Path
 
 from deploy.registry import Registry
 from deploy.services import load_services
-from deploy.state import ENDED, EXIT_INTERRUPTED, StackFolder, StackState
+from deploy.state import ENDED, EXIT_INTERRUPTED, StackFolder, StackState, exit_in_words
 from deploy.terminal import Terminal, said
 from shared.cli import EXIT_ERROR, EXIT_STANDING, Command, run, run_command
 from shared.errors import ConfigError, LinkError
@@ -103,7 +103,8 @@ def _told(stack: StackFolder, state: StackState, *, alive: bool, now: float) -> 
             lines.append(f"  {name:<8} {'-':>7}  not started")
             continue
         ended = service.state == ENDED or not alive
-        exited = f"ended (exit {service.exit_code})" if service.exit_code is not None else ENDED
+        code = service.exit_code
+        exited = ENDED if code is None else f"{ENDED} ({exit_in_words(code)})"
         lines.append(
             f"  {name:<8} {'-' if ended else service.pid:>7}  "
             f"{exited if ended else service.state:<16} "

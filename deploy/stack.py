@@ -29,6 +29,7 @@ from deploy.state import (
     LineFile,
     StackFolder,
     StackState,
+    exit_in_words,
 )
 from deploy.supervisor import Launch, Supervisor
 from deploy.terminal import Terminal
@@ -184,12 +185,13 @@ class Stack:
         if service.end == OUTCOME and code in (EXIT_STANDING, EXIT_FELL, EXIT_INTERRUPTED):
             await self._linger()
             return code
-        # An error of the robot's own is its last line.
-        reason = self._supervisor.last_line(service.name).removeprefix("error: ")
-        raise LinkError(
-            f"{service.name} ended (exit {code}): everything was stopped; its log is "
-            f"{self._out / service.name}.log; it said last: {reason}"
-        )
+        told = f"{service.name} ended ({exit_in_words(code)}): everything was stopped; "
+        told += f"its log is {self._out / service.name}.log"
+        if code > 0:
+            # An error of its own is its last line.
+            reason = self._supervisor.last_line(service.name).removeprefix("error: ")
+            told += f"; it said last: {reason}"
+        raise LinkError(told)
 
     async def _linger(self) -> None:
         """Leave a view open for the person in front of it until Ctrl-C or until it is closed."""

@@ -37,6 +37,11 @@ class ServiceState:
     exit_code: int | None
 
 
+def exit_in_words(code: int) -> str:
+    """An exit code; a negative one is that of a process that a signal has killed."""
+    return f"exit {code}" if code >= 0 else f"signal {-code}"
+
+
 @dataclass(frozen=True)
 class StackState:
     """A stack: its supervisor's process, its services, and once it has ended, how.

@@ -18,7 +18,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from deploy.services import IGNORED, OUTCOME, Service
-from deploy.state import ENDED, READY, STARTING, STOPPING, LineFile, ServiceState
+from deploy.state import (
+    ENDED,
+    READY,
+    STARTING,
+    STOPPING,
+    LineFile,
+    ServiceState,
+    exit_in_words,
+)
 from shared.errors import ConfigError, LinkError
 
 _PR_SET_PDEATHSIG = 1
@@ -184,9 +192,10 @@ class Supervisor:
         await self._end(child)
         self._put(child, ENDED)
         if done:
+            assert child.process.returncode is not None
+            how = exit_in_words(child.process.returncode)
             reason = child.last_line.removeprefix("error: ")
-            code = child.process.returncode
-            raise LinkError(f"{child.name} did not start (exit {code}): {reason}")
+            raise LinkError(f"{child.name} did not start ({how}): {reason}")
         raise LinkError(
             f"{child.name} was not ready within {child.launch.ready_seconds:g} s; its log is "
             f"{self._folder / child.name}.log"
@@ -203,7 +212,8 @@ class Supervisor:
             failures += 1
             self._say(
                 child.name,
-                f"ended (exit {code}): started again, {failures} of {service.restarts_at_most}",
+                f"ended ({exit_in_words(code)}): started again, {failures} of "
+                f"{service.restarts_at_most}",
             )
             try:
                 await self._again(child)

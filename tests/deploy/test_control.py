@@ -105,6 +105,13 @@ def test_ps_and_down_say_how_a_stack_ended_by_itself(known, tmp_path, capsys):
     assert told.count("(exit 3): it fell") == 2
 
 
+def test_ps_shows_what_has_killed_a_service(known, tmp_path, capsys):
+    killed = (ServiceState("edge", 11, ENDED, 5.0, 2, -9),)
+    known.add(written(tmp_path / "run", services=killed).run, robot="romeo", services=("edge",))
+    assert control.ps(asked()) == 0
+    assert "  edge           -  ended (signal 9) " in capsys.readouterr().out
+
+
 def test_down_ends_what_runs_and_that_is_no_failure(known, running, capsys):
     stack = running()
     known.add(stack.run, robot="romeo", services=("edge", "robot"))

@@ -53,7 +53,7 @@ def played(stack: Stack) -> int:
 @pytest.mark.parametrize(
     ("module", "told"),
     [
-        ("is_killed", r"robot ended \(exit -9\): everything was stopped"),
+        ("is_killed", r"robot ended \(signal 9\): everything was stopped"),
         ("fails", "it said last: no answer"),
     ],
 )

@@ -174,7 +174,7 @@ def test_death_of_a_service_ends_the_run_with_its_name(
     assert len(victim) == 1
     os.kill(victim[0], signal.SIGKILL)
     assert up.wait(seconds=60.0) == 2, up.output
-    assert f"error: {module.removesuffix('_node')} ended (exit -9)" in up.output
+    assert f"error: {module.removesuffix('_node')} ended (signal 9)" in up.output
     assert descendants_naming(str(out)) == []
 
 
