@@ -94,6 +94,8 @@ class Terminal:
         try:
             print(text, end="", flush=True)
         except OSError:
+            if self._copy is None:
+                raise
             # Whoever read this has left, or the terminal was closed: no reason to end a run.
             self._quiet = True
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

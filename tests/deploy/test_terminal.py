@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import sys
@@ -58,17 +59,31 @@ def test_whoever_was_left_hears_no_more_and_the_copy_goes_on(copy, kept, capsys)
     assert kept() == "  edge | READY\nStands\nerror: none\n"
 
 
-def test_whoever_has_left_is_no_reason_to_end_and_the_copy_goes_on(copy, kept, monkeypatch):
+@contextlib.contextmanager
+def read_by_nobody():
+    """Standard output is a pipe whose reader has left."""
     reading, writing = os.pipe()
     os.close(reading)
-    with os.fdopen(writing, "w") as nobody:
-        monkeypatch.setattr(sys, "stdout", nobody)
+    with os.fdopen(writing, "w") as file:
+        with contextlib.redirect_stdout(file):
+            yield
+        # What could not be written would be tried again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), writing)
+
+
+def test_whoever_has_left_is_no_reason_to_end_and_the_copy_goes_on(copy, kept):
+    with read_by_nobody():
         terminal = Terminal(copy)
         for line in ("READY", "stopped"):
             terminal.say("edge", line)
         terminal.show("t 1 s")
         terminal.clear()
     assert kept() == "  edge | READY\n  edge | stopped\n"
+
+
+def test_lines_that_are_kept_nowhere_end_with_whoever_reads_them():
+    with read_by_nobody(), pytest.raises(BrokenPipeError):
+        Terminal().say("edge", "READY")
 
 
 def test_a_full_disk_is_no_reason_to_end(capsys):
