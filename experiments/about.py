@@ -31,11 +31,15 @@ def about_now(study: Study) -> dict[str, Any]:
 
 
 def commit_in_words(about: Mapping[str, Any]) -> str:
-    """The commit in an `about.json`, and what other code its trials are of."""
+    """The commit in an `about.json`."""
     changed = " with uncommitted changes" if about["dirty"] else ""
+    return f"{(about['commit'] or 'unknown')[:10]}{changed}"
+
+
+def other_codes_in_words(about: Mapping[str, Any]) -> str:
+    """What `--keep-code` kept, by an `about.json`; nothing if there was none."""
     others = about.get("other_code", {}).items()
-    kept = "".join(f", {count} trials of code {code}" for code, count in others)
-    return f"{(about['commit'] or 'unknown')[:10]}{changed}{kept}"
+    return ", ".join(f"{count} trials of code {code}" for code, count in others)
 
 
 def other_codes(records: Iterable[Record]) -> dict[str, int]:

@@ -23,7 +23,7 @@ from typing import Any
 
 import tomli_w
 
-from experiments.about import about_now, commit_in_words, other_codes
+from experiments.about import about_now, commit_in_words, other_codes, other_codes_in_words
 from experiments.bisection import limits, limits_in_words
 from experiments.course import Course, Outcome, Trial, outcome_of
 from experiments.dealing import Study
@@ -204,11 +204,12 @@ def _write_table(path: Path, table: str, asked: str, out: Path) -> None:
     try:
         about = json.loads((out / "about.json").read_text(encoding="utf-8"))
         made = about["versions"]
+        commit = ", ".join(filter(None, [commit_in_words(about), other_codes_in_words(about)]))
         packages = ", ".join(f"{name} {made[name]}" for name in ("python", "mujoco", "pin", "daqp"))
         lines = [
             about["description"],
             f"python -m experiments sweep {asked}",
-            f"{about['machine']['cpu']}; {packages}; commit {commit_in_words(about)}, "
+            f"{about['machine']['cpu']}; {packages}; commit {commit}, "
             f"{about['date'][:10]}; means over the trials that finished standing",
             "",
             table,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from experiments.about import commit_in_words
+from experiments.about import commit_in_words, other_codes_in_words
 from experiments.reproduction.layout import Table, in_markdown
 from experiments.reproduction.results import Results
 from experiments.reproduction.sections import STUDIES
@@ -47,12 +47,15 @@ def _studies(results: Results, abouts: Mapping[str, About]) -> Table:
                 f"{took:.1f}",
                 f"{len(rows) / took:.1f}",
                 about["date"][:16].replace("T", " "),
+                other_codes_in_words(about),
             ]
         )
         trials, minutes = trials + len(rows), minutes + took
-    lines.append(["together", str(trials), "", "", f"{minutes:.1f}", f"{trials / minutes:.1f}", ""])
+    lines.append(
+        ["together", str(trials), "", "", f"{minutes:.1f}", f"{trials / minutes:.1f}", "", ""]
+    )
     columns = ["study", "trials", "seeds", "ended with an error"]
-    columns += ["minutes of a core", "trials per minute of a core", "finished"]
+    columns += ["minutes of a core", "trials per minute of a core", "finished", "kept"]
     return Table("What was played", columns, lines)
 
 

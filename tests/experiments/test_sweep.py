@@ -13,7 +13,7 @@ import time
 
 import pytest
 
-from experiments.about import commit_in_words
+from experiments.about import other_codes_in_words
 from experiments.study import read_study
 from experiments.sweep import _write_table, sweep
 from experiments.trial_table import read_trials, table_in_words
@@ -133,7 +133,7 @@ def test_trials_of_other_code_that_are_kept_are_told(again, study_of, tmp_path):
     sweep(study_of(BASE), out=again, keep_code=True)
     about = json.loads((again / "about.json").read_text())
     assert about["other_code"] == {"other": 3}
-    assert commit_in_words(about).endswith(", 3 trials of code other")
+    assert other_codes_in_words(about) == "3 trials of code other"
     _write_table(table, "", "short", again)
     assert ", 3 trials of code other, 20" in table.read_text()
 
