@@ -7,16 +7,12 @@ with its name in front, to the terminal. Children get a termination signal if th
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import ctypes
-import os
-import signal
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from deploy.process import kill_group, start_process, terminate
 from deploy.services import IGNORED, OUTCOME, Service
 from deploy.state import (
     ENDED,
@@ -28,10 +24,6 @@ from deploy.state import (
     exit_in_words,
 )
 from shared.errors import ConfigError, LinkError
-
-_PR_SET_PDEATHSIG = 1
-# Loaded here: between fork and exec another thread may hold the loader's lock for ever.
-_LIBC = ctypes.CDLL(None)
 
 
 @dataclass(frozen=True)
@@ -158,22 +150,14 @@ class Supervisor:
         # What has ended is gone, and its number may be another's by now.
         children = [child for child in children if child.state != ENDED]
         for child in children:
-            _signal_group(child.process, signal.SIGTERM)
+            terminate(child.process)
         for child in children:
             await self._end(child)
             self._put(child, ENDED)
 
     async def _spawn(self, child: _Child) -> None:
         child.ready.clear()
-        child.process = await asyncio.create_subprocess_exec(
-            *child.launch.command,
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.STDOUT,
-            start_new_session=True,
-            preexec_fn=_die_with_parent if sys.platform == "linux" else None,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        )
+        child.process = await start_process(child.launch.command)
         child.reader = asyncio.create_task(self._read(child))
         self._children[child.name] = child
         self._put(child, STARTING)
@@ -188,7 +172,7 @@ class Supervisor:
             self._put(child, READY)
             return
         if not done:
-            _signal_group(child.process, signal.SIGTERM)
+            terminate(child.process)
         await self._end(child)
         self._put(child, ENDED)
         if done:
@@ -223,7 +207,7 @@ class Supervisor:
 
     async def _restart(self, child: _Child, back: asyncio.Future[None]) -> None:
         try:
-            _signal_group(child.process, signal.SIGTERM)
+            terminate(child.process)
             await self._again(child)
         except LinkError as error:
             if not back.done():
@@ -261,7 +245,7 @@ class Supervisor:
         except asyncio.TimeoutError:
             self._say(child.name, f"did not stop within {seconds:g} s: killed")
         # What a service left behind in its process group goes with it.
-        _signal_group(child.process, signal.SIGKILL, even_if_ended=True)
+        kill_group(child.process)
         await child.process.wait()
         # Not awaited itself: whoever is cancelled here would cancel it.
         await asyncio.wait({child.reader})
@@ -282,15 +266,3 @@ class Supervisor:
                 if line:
                     child.last_line = line
                     self._say(name, line)
-
-
-def _signal_group(
-    process: asyncio.subprocess.Process, number: int, *, even_if_ended: bool = False
-) -> None:
-    if process.returncode is None or even_if_ended:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, number)
-
-
-def _die_with_parent() -> None:
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
