@@ -15,9 +15,7 @@ import argparse
 import asyncio
 import dataclasses
 import errno
-import os
 import socket
-import sys
 import time
 from pathlib import Path
 
@@ -43,6 +41,7 @@ from shared.errors import ConfigError, LinkError
 from shared.motion.plan import make_motion
 from shared.report import versions
 from shared.robots import load_robot
+from shared.screen import has_screen
 from shared.service import add_identity_arguments
 
 
@@ -172,10 +171,7 @@ def _check_port(plan: Plan) -> None:
 def _resolve_view(view: str) -> str:
     if view != "auto":
         return view
-    screen = sys.platform != "linux" or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    )
-    return "native" if screen else "off"
+    return "native" if has_screen() else "off"
 
 
 def _free_ports(count: int) -> list[int]:

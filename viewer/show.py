@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from shared.screen import has_screen
 from viewer.display import Display
 from viewer.recording import blueprint, log_runs, new_recording, title
 from viewer.run_folder import read_run
@@ -27,8 +27,9 @@ def show(
     """
     runs = [read_run(path) for path in paths]
     recording = new_recording(title(runs))
-    chosen = _with_or_without_screen() if view == "auto" else view
-    display = Display(recording, chosen, blueprint=blueprint(runs), file=None)
+    if view == "auto":
+        view = "native" if has_screen() else "web"
+    display = Display(recording, view, blueprint=blueprint(runs), file=None)
     try:
         log_runs(recording, runs)
         recording.flush()
@@ -37,8 +38,3 @@ def show(
             time.sleep(_LOOK)
     finally:
         display.close()
-
-
-def _with_or_without_screen() -> str:
-    has_screen = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-    return "native" if has_screen else "web"

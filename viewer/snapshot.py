@@ -70,13 +70,13 @@ def animation(
         raise UserError(
             f"--span: expected a span of the run, within 0:{duration:.3f}, got {begin:g}:{end:g}"
         )
-    count = math.ceil((end - begin) / speed * FRAMES_PER_SECOND)
+    count = (end - begin) / speed * FRAMES_PER_SECOND
     if count > MAX_FRAMES:
         raise UserError(
-            f"--animation: expected at most {MAX_FRAMES} frames, got {count}; use a shorter --span "
-            "or a higher --speed"
+            f"--animation: expected at most {MAX_FRAMES} frames, got {count:.0f}; use a shorter "
+            "--span or a higher --speed"
         )
-    times = [begin + k * speed / FRAMES_PER_SECOND for k in range(count)]
+    times = [begin + k * speed / FRAMES_PER_SECOND for k in range(math.ceil(count))]
     height = round(ANIMATION_WIDTH / SIZE[0] * (SIZE[1] - _EMPTY_BAR))
     frames = [each.resize((ANIMATION_WIDTH, height)) for each in _draw(runs, times)]
     frame_ms = round(1e3 / FRAMES_PER_SECOND)

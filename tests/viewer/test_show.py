@@ -101,6 +101,7 @@ def test_a_wrong_folder_is_refused_in_one_line(command: str, tmp_path: Path) -> 
         (lambda run, out: film(run, out / "x.gif", begin=0.2), "span of the run"),
         (lambda run, out: film(run, out / "x.gif", speed=0.0), "above 0"),
         (lambda run, out: film(run, out / "x.gif", speed=1e-5), "at most 600 frames"),
+        (lambda run, out: film(run, out / "x.gif", speed=1e-320), "at most 600 frames"),
     ],
 )
 def test_pictures_that_cannot_be_are_refused_before_anything_is_drawn(
