@@ -108,26 +108,38 @@ class ServiceLog:
                 out.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise ConfigError(f"out: cannot create {out}: {error.strerror}") from None
-        folder = out if out is not None else Path(self._temporary.name)
+        self._folder = out if out is not None else Path(self._temporary.name)
         # Those who watch see the rows that the file has no room for.
-        self.rows = RowLog(schema, path=folder / f"{name}.rows", publish=publish, at_most=_MAX_ROWS)
+        path = self._folder / f"{name}.rows"
+        self.rows = RowLog(schema, path=path, publish=publish, at_most=_MAX_ROWS)
 
     def row(self) -> np.ndarray:
         """The next row to fill."""
         return self.rows.row()
 
     def finish(self, report: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """End the log, turn its rows into Parquet, write and return `report(rows)`."""
+        """End the log, turn its rows into Parquet, write and return `report(rows)`.
+
+        `ConfigError` if the disk took less than that.
+        """
         self.rows.close()
         rows = self.rows.rows()
         result = report(rows)
+        failure = self.rows.failure
         if self._out is not None:
-            write_parquet(self.rows.schema, rows, self._out / f"{self.name}.parquet")
-            text = json.dumps(result, indent=2)
-            (self._out / f"{self.name}.json").write_text(text + "\n", encoding="utf-8")
-            assert self.rows.path is not None
-            self.rows.path.unlink()
+            try:
+                write_parquet(self.rows.schema, rows, self._out / f"{self.name}.parquet")
+                text = json.dumps(result, indent=2)
+                (self._out / f"{self.name}.json").write_text(text + "\n", encoding="utf-8")
+                (self._out / f"{self.name}.rows").unlink()
+            except OSError as error:
+                failure = error
         if self._hub is not None:
             self._hub.close()
         self._temporary.cleanup()
+        if failure is not None:
+            raise ConfigError(
+                f"out: cannot write all of {self.name}'s files into {self._folder}: "
+                f"{failure.strerror or failure}; expected a disk with room for them"
+            )
         return result

@@ -8,6 +8,7 @@ stay in memory.
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -117,7 +118,8 @@ class RowLog:
 
     With a `path`, blocks go to `path` as raw float64 and memory stays bounded; without, they are
     kept. `publish` receives each block's encoding on the background thread. A file takes `at_most`
-    so many rows; those after them are published only.
+    so many rows; those after them are published only. So are those that cannot be written, for
+    which `failure` says why.
     """
 
     def __init__(
@@ -130,6 +132,7 @@ class RowLog:
     ) -> None:
         self.schema = schema
         self.path = path
+        self.failure: OSError | None = None
         self._publish = publish
         self._left = at_most
         self._kept: list[np.ndarray] = []
@@ -157,16 +160,19 @@ class RowLog:
             self._thread.join(timeout=10.0)
             self._thread = None
         if self._file is not None:
-            self._file.close()
+            with contextlib.suppress(OSError):  # again what `failure` has
+                self._file.close()
             self._file = None
 
     def rows(self) -> np.ndarray:
         """All rows of a closed log, shape (n, schema.width); memory-mapped when on file."""
         if self.path is None:
             return np.concatenate(self._kept) if self._kept else np.zeros((0, self.schema.width))
-        if self.path.stat().st_size == 0:
-            return np.zeros((0, self.schema.width))
-        return np.memmap(self.path, dtype=np.float64, mode="r").reshape(-1, self.schema.width)
+        width = self.schema.width
+        count = self.path.stat().st_size // (width * np.dtype(np.float64).itemsize)
+        if count == 0:
+            return np.zeros((0, width))
+        return np.memmap(self.path, dtype=np.float64, mode="r", shape=(count, width))
 
     def _hand_over(self) -> None:
         block, self._block = self._block[: self._used], np.zeros_like(self._block)
@@ -180,9 +186,13 @@ class RowLog:
 
     def _drain(self) -> None:
         while (block := self._queue.get()) is not None:
-            if self._file is not None:
+            if self._file is not None and self.failure is None:
                 kept = block[: self._left]
-                self._file.write(kept.data)
+                try:
+                    self._file.write(kept.data)
+                    self._file.flush()
+                except OSError as error:
+                    self.failure = error
                 if self._left is not None:
                     self._left -= len(kept)
             if self._publish is not None:

@@ -45,3 +45,13 @@ def test_a_log_that_is_full_takes_no_more_rows(monkeypatch, tmp_path: Path):
     log.finish(lambda rows: {"rows": len(rows)})
     _, rows = read_parquet(tmp_path / "edge.parquet")
     assert rows[:, 0].tolist() == [0.0, 1.0, 2.0]
+
+
+@pytest.mark.parametrize("full", ["edge.rows", "edge.parquet", "edge.json"])
+def test_a_full_disk_is_told_in_one_line_after_what_could_be_done(full: str, tmp_path: Path):
+    (tmp_path / full).symlink_to("/dev/full")
+    log = ServiceLog("edge", Schema(Column("n")), out=tmp_path, telemetry=None, key="k")
+    log.row()[0] = 1.0
+    with pytest.raises(ConfigError, match=r"out: cannot write all of edge's .* No space left"):
+        log.finish(lambda rows: {"rows": len(rows)})
+    assert not Path(log._temporary.name).exists()

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import os
 import threading
 import time
 
@@ -216,6 +218,24 @@ def test_a_file_that_is_full_takes_no_more_rows_and_watchers_see_them_all(tmp_pa
     np.testing.assert_array_equal(log.rows(), expected(count)[:at_most])
     blocks = [decode_rows(data)[1] for data in received]
     np.testing.assert_array_equal(np.vstack(blocks), expected(count))
+
+
+def test_rows_that_cannot_be_written_are_watched_and_the_reason_is_kept(tmp_path):
+    (tmp_path / "x").symlink_to("/dev/full")
+    received = []
+    log = RowLog(SCHEMA, path=tmp_path / "x", publish=received.append)
+    fill(log, 2 * BLOCK_ROWS + 7).close()
+    assert log.failure is not None
+    assert log.failure.errno == errno.ENOSPC
+    assert len(log.rows()) == 0
+    assert sum(len(decode_rows(data)[1]) for data in received) == 2 * BLOCK_ROWS + 7
+
+
+def test_a_row_that_was_written_in_part_is_none(tmp_path):
+    log = fill(RowLog(SCHEMA, path=tmp_path / "x"), 5)
+    log.close()
+    os.truncate(tmp_path / "x", 3 * 8 * SCHEMA.width + 1)
+    np.testing.assert_array_equal(log.rows(), expected(3))
 
 
 def test_some_columns_of_a_table_are_read_without_the_others(tmp_path):
