@@ -103,15 +103,14 @@ def play(case: Case, *, seconds: float) -> Ticks:
         folder = Path(name)
         with _up(case, folder, seconds=seconds) as up:
             if case.signals:
-                group = _viewer(up, folder / "run")
+                group = _viewer(up, folder)
                 time.sleep(_UNDISTURBED)
                 disturb(up, group, case.signals, seconds=seconds + _MORE_SECONDS)
             code = _wait(up, seconds + _MORE_SECONDS)
         if code is None:
             raise LinkError(f"{case.name}: the run did not end within {_MORE_SECONDS:g} s more")
         if code != 0:
-            said = (folder / "said").read_text(encoding="utf-8").splitlines() or ["nothing"]
-            raise LinkError(f"{case.name}: the run ended with {code} and said: {said[-1]}")
+            raise LinkError(f"{case.name}: the run ended with {code}; it said: {_said(folder)}")
         return read_ticks(folder / "run" / "telemetry.parquet")
 
 
@@ -174,12 +173,12 @@ def _up(case: Case, folder: Path, *, seconds: float) -> Iterator[subprocess.Pope
             up.wait()
 
 
-def _viewer(up: subprocess.Popen[bytes], run: Path) -> int:
-    """The viewer's group of processes, once the whole stack is ready."""
+def _viewer(up: subprocess.Popen[bytes], folder: Path) -> int:
+    """The viewer's group of processes, once the whole stack is ready; `LinkError` without one."""
     deadline = time.monotonic() + _START_SECONDS
     while time.monotonic() < deadline and _wait(up, 0.1) is None:
         try:
-            stack = StackFolder(run).read()
+            stack = StackFolder(folder / "run").read()
         except ConfigError:
             continue  # Not there yet.
         if stack.state == READY:
@@ -188,7 +187,13 @@ def _viewer(up: subprocess.Popen[bytes], run: Path) -> int:
                     # A service is the leader of a group of its own.
                     return service.pid
             break
-    raise LinkError(f"no viewer to disturb; is there room for one? See {run.parent / 'said'}")
+    raise LinkError(f"the run has no viewer to disturb; it said: {_said(folder)}")
+
+
+def _said(folder: Path) -> str:
+    """The last line of `./deploy/up`."""
+    lines = (folder / "said").read_text(encoding="utf-8").splitlines()
+    return lines[-1] if lines else "nothing"
 
 
 def _wait(up: subprocess.Popen[bytes], seconds: float) -> int | None:
