@@ -243,11 +243,14 @@ def summary_in_words(summary: dict[str, Any]) -> str:
     if told := [*([] if summary["fell"] else [slid]), *differs]:
         lines.append(f"  {'; '.join(told)}")
     if summary["task"] == "walk":
-        lines.append(
-            f"  contact switch to first fresh projector p50 {_number(wait['p50'], 'ms')}, max "
+        # A robot that corrects has no use for a fresh projector at a switch.
+        waited = (
+            ""
+            if summary["controller"] == "lc"
+            else f"contact switch to first fresh projector p50 {_number(wait['p50'], 'ms')}, max "
             f"{_number(wait['max'], 'ms')}, not in time {wait['never']} ×; "
-            f"{summary['on_board_qps']} QPs solved on board"
         )
+        lines.append(f"  {waited}{summary['on_board_qps']} QPs solved on board")
     for name, way in summary["link"].items():
         refused = sum((way["refused"] or {}).values())
         error = way["delay_error_ms"]

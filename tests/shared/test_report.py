@@ -224,6 +224,21 @@ def test_a_summary_is_told_in_words_even_where_a_part_is_missing():
     assert "slip" not in summary_in_words(fell)
 
 
+@pytest.mark.parametrize(("controller", "waits"), [("la", True), ("lc", False)])
+def test_a_switch_is_told_to_wait_for_a_projector_where_it_does(controller, waits):
+    words = summary_in_words(
+        summary(
+            RunConfig(task="walk", controller=controller),
+            robot=robot_part(ticks(20)),
+            edge=None,
+            link=None,
+            discrepancy=None,
+        )
+    )
+    assert ("first fresh projector" in words) == waits
+    assert "QPs solved on board" in words
+
+
 def test_versions_name_what_results_depend_on():
     found = versions()
     for name in ("python", "platform", "pin", "mujoco", "daqp", "numpy", "eclipse-zenoh"):
