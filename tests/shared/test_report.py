@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from shared.config import RunConfig
+from shared.config_file import load_config
 from shared.report import (
     discrepancy_report,
     edge_report,
@@ -228,7 +229,7 @@ def test_a_summary_is_told_in_words_even_where_a_part_is_missing():
 def test_a_switch_is_told_to_wait_for_a_projector_where_it_does(controller, waits):
     words = summary_in_words(
         summary(
-            RunConfig(task="walk", controller=controller),
+            load_config(None, {"task": "walk", "controller": controller}),
             robot=robot_part(ticks(20)),
             edge=None,
             link=None,
