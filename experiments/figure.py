@@ -89,19 +89,20 @@ def draw_figure(
     for line, column in zip(axes, columns, strict=True):
         for axis, (panel, chosen) in zip(line, chosen_by_panel.items(), strict=True):
             lines = {name: _groups(group, x) for name, group in _groups(chosen, by).items()}
-            axis.set(title=panel, xlabel=x)
+            axis.set(title=panel if panels is None else f"{panels} {panel}", xlabel=x)
+            xs = list(dict.fromkeys(name for groups in lines.values() for name in groups))
             if as_map:
-                _draw_map(axis, lines, column)
+                _draw_map(axis, xs, lines, column)
                 continue
             for name, groups in lines.items():
-                _draw(axis, groups, column, name)
+                _draw(axis, xs, groups, column, name)
             axis.grid(alpha=0.3)
         if as_map:
             line[0].set_ylabel(by)
         else:
             line[0].set_ylabel(f"part that {column}, 95 %" if column in _PARTS else column)
     if by and not as_map:
-        axes[0, 0].legend(fontsize=8)
+        axes[0, 0].legend(fontsize=8, title=by, title_fontsize=8)
     save_figure(figure, out, what="figure")
 
 
@@ -127,24 +128,30 @@ def _value(rows: Sequence[Row], column: str) -> tuple[float, tuple[float, float]
     return mean, (min(values), max(values)), f"{mean:.3g}"
 
 
-def _draw(axis: Any, groups: dict[str, list[Row]], column: str, label: str) -> None:
-    points = {x: value for x, rows in groups.items() if (value := _value(rows, column))}
-    ys = [value for value, _, _ in points.values()]
-    low = [value - bounds[0] for value, bounds, _ in points.values()]
-    high = [bounds[1] - value for value, bounds, _ in points.values()]
-    axis.errorbar(list(points), ys, yerr=[low, high], marker="o", capsize=3, label=label)
+def _draw(
+    axis: Any, xs: Sequence[str], groups: dict[str, list[Row]], column: str, label: str
+) -> None:
+    """A line over `xs`, interrupted where its group has nothing to say."""
+    nothing = (np.nan, (np.nan, np.nan), "")
+    points = [_value(groups.get(x, []), column) or nothing for x in xs]
+    ys = [value for value, _, _ in points]
+    low = [value - bounds[0] for value, bounds, _ in points]
+    high = [bounds[1] - value for value, bounds, _ in points]
+    axis.errorbar(range(len(xs)), ys, yerr=[low, high], marker="o", capsize=3, label=label)
+    _name_ticks(axis, xs)
 
 
-def _draw_map(axis: Any, lines: dict[str, dict[str, list[Row]]], column: str) -> None:
-    xs = list(dict.fromkeys(x for groups in lines.values() for x in groups))
+def _draw_map(
+    axis: Any, xs: Sequence[str], lines: dict[str, dict[str, list[Row]]], column: str
+) -> None:
     colours = np.full((len(lines), len(xs)), np.nan)
     for i, groups in enumerate(lines.values()):
-        for x, rows in groups.items():
-            if value := _value(rows, column):
-                colours[i, xs.index(x)] = value[0]
+        for k, x in enumerate(xs):
+            if value := _value(groups.get(x, []), column):
+                colours[i, k] = value[0]
                 dark = column in _PARTS and abs(value[0] - 0.5) > 0.35
                 axis.text(
-                    xs.index(x),
+                    k,
                     i,
                     value[2],
                     color="white" if dark else "black",
@@ -154,8 +161,12 @@ def _draw_map(axis: Any, lines: dict[str, dict[str, list[Row]]], column: str) ->
                 )
     limits = {"vmin": 0.0, "vmax": 1.0} if column in _PARTS else {}
     axis.imshow(colours, cmap=_PARTS.get(column, "viridis"), aspect="auto", **limits)
+    _name_ticks(axis, xs)
+    axis.set_yticks(range(len(lines)), list(lines))
+
+
+def _name_ticks(axis: Any, xs: Sequence[str]) -> None:
     long = any(len(x) > 8 for x in xs)
     axis.set_xticks(
         range(len(xs)), xs, rotation=25 if long else 0, ha="right" if long else "center"
     )
-    axis.set_yticks(range(len(lines)), list(lines))

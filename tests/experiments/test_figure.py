@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 
+import numpy as np
 import pytest
+from matplotlib import pyplot as plt
 
 from experiments.corrections import run_corrections
-from experiments.figure import FELL, _value, add_figure_arguments, run_figure
+from experiments.figure import FELL, _draw, _value, add_figure_arguments, run_figure
 from experiments.study import read_study
 from experiments.sweep import sweep
 from shared.errors import ConfigError
@@ -52,6 +54,18 @@ def test_a_figure_has_a_panel_and_a_line_for_each_value(finished, figure, tmp_pa
         == 0
     )  # fmt: skip
     assert out.read_bytes().startswith(PNG)
+
+
+def test_a_line_keeps_the_order_of_all_values_where_a_group_has_none():
+    axis = plt.figure().add_subplot()
+    stands = {"fell": False, "error": None, "com_error_m": 0.01}
+    _draw(axis, ["a", "b", "c"], {"c": [stands], "a": [stands]}, "com_error_m", "line")
+    ((line, *_),) = axis.containers
+    assert line.get_xdata().tolist() == [0, 1, 2]
+    drawn = np.asarray(line.get_ydata(), dtype=float)
+    np.testing.assert_array_equal(drawn, [0.01, np.nan, 0.01])
+    assert [tick.get_text() for tick in axis.get_xticklabels()] == ["a", "b", "c"]
+    plt.close()
 
 
 def test_a_map_has_a_square_for_each_pair_of_values(finished, figure, tmp_path):
