@@ -215,7 +215,7 @@ def _writable(out: Path | None) -> Path:
             raise IsADirectoryError(0, "it is a folder")
         out.parent.mkdir(parents=True, exist_ok=True)
         trial.write_bytes(b"")
-        trial.unlink()
+        trial.unlink(missing_ok=True)  # another recorder may have tried the same name
     except OSError as error:
         raise ConfigError(f"out: cannot write {out}: {error.strerror}") from None
     return out
