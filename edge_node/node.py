@@ -26,7 +26,7 @@ from shared.wbc.whole_body import TimedProjector, WholeBodyController
 from shared.wire.codec import Codec
 from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
 
-# Of the refresh distance; and at most so far [rad], where that is infinite.
+# Of the refresh distance, and at most so far [rad]: further ahead velocities tell little.
 _LEAD, _MOST_LEAD = 0.7, 0.05
 _STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 

@@ -75,9 +75,8 @@ def run_check(arguments: argparse.Namespace) -> int:
         ) from None
     if code != code_version():
         print(
-            f"the code is another: {folder} was played with {code}, at commit "
-            f"{commit}, this is "
-            f"{code_version()}; rows may differ for that",
+            f"the code is another: {folder} was played with {code}, at commit {commit}, "
+            f"this is {code_version()}; rows may differ for that",
             file=sys.stderr,
         )
     seed = secrets.randbelow(2**32) if arguments.seed is None else arguments.seed
