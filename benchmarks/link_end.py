@@ -9,10 +9,10 @@ something has arrived. SIGTERM ends the sending; what is still on its way is wai
 
 from __future__ import annotations
 
-# isort: off
-import shared.single_thread  # noqa: F401
+from remote_wbc import begin
 
-# isort: on
+begin(__name__)
+
 import struct
 import time
 from pathlib import Path

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from netem.tun import DEVICE, EDGE_ADDRESS, ROBOT_ADDRESS, why_not_permitted
+from shared.entry import python
 from shared.errors import LinkError
 
 _READY_SECONDS = 60.0
@@ -42,7 +43,7 @@ class Started:
     def __init__(self, *arguments: str, prefix: tuple[str, ...] = ()) -> None:
         self._name = " ".join(arguments[:2])
         self._popen = subprocess.Popen(
-            [*prefix, sys.executable, "-m", *arguments],
+            [*prefix, *python("-m", *arguments)],
             stdout=subprocess.PIPE,
             preexec_fn=end_with_parent if sys.platform == "linux" else None,
         )

@@ -31,6 +31,7 @@ from benchmarks.link_trial import Open, Trial, run_trial, way_errors
 from benchmarks.timing import cores_busy, machine
 from netem.profile import DIRECTIONS
 from netem.tun import why_not_permitted
+from shared.entry import python
 from shared.report import versions
 
 _LOADS = ("idle", "loaded")
@@ -124,7 +125,7 @@ def _try(case: _Case, load: str, *, seconds: float, answer: bool = False) -> Tri
 
 @contextmanager
 def _busy_processes(count: int) -> Iterator[None]:
-    command = [sys.executable, "-c", "while True: pass"]
+    command = python("-c", "while True: pass")
     preexec = end_with_parent if sys.platform == "linux" else None
     processes = [subprocess.Popen(command, preexec_fn=preexec) for _ in range(count)]
     try:

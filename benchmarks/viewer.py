@@ -26,6 +26,7 @@ from benchmarks.link_paths import end_with_parent
 from benchmarks.timing import cores_busy, machine
 from deploy.plan import VIEWER
 from deploy.state import READY, StackFolder
+from shared.entry import python
 from shared.errors import ConfigError, LinkError
 from shared.metrics import in_task
 from shared.report import versions
@@ -153,7 +154,7 @@ def read_ticks(file: Path) -> Ticks:
 @contextmanager
 def _up(case: Case, folder: Path, *, seconds: float) -> Iterator[subprocess.Popen[bytes]]:
     """`./deploy/up` into `folder`/run, its output into `folder`/said; ended with the context."""
-    command = [sys.executable, "-m", "deploy.up", "--network", _NETWORK, "--controller", "la"]
+    command = python("-m", "deploy.up", "--network", _NETWORK, "--controller", "la")
     command += ["--push", "none", "--duration", f"{seconds:g}", "--view", case.view]
     command += ["--out", str(folder / "run")]
     with (folder / "said").open("wb") as said:

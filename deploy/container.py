@@ -6,17 +6,21 @@ service is ready. What becomes of it when it ends is up to Docker.
 
 from __future__ import annotations
 
+from remote_wbc import begin
+
+begin(__name__)
+
 import argparse
 import asyncio
 import dataclasses
 import signal
-import sys
 import tempfile
 from pathlib import Path
 
 from deploy.services import FAILURE, Service, load_services
 from deploy.supervisor import Launch, Supervisor
 from shared.cli import Parser, run
+from shared.entry import python
 
 READY_FILE = Path("/tmp/ready")
 
@@ -45,7 +49,7 @@ async def _serve(service: Service, arguments: list[str]) -> int:
             before_restart=lambda _: None,
         )
         alone = dataclasses.replace(service, restart="no", end=FAILURE)
-        command = (sys.executable, "-m", *service.command, *arguments)
+        command = tuple(python("-m", *service.command, *arguments))
         running = asyncio.create_task(_play(supervisor, Launch(alone, command, float("inf"))))
         stopping = asyncio.create_task(stop.wait())
         try:

@@ -6,6 +6,10 @@ about any run's folder, also one whose `up` is in another terminal.
 
 from __future__ import annotations
 
+from remote_wbc import begin
+
+begin(__name__)
+
 import argparse
 import contextlib
 import os
@@ -17,9 +21,9 @@ from pathlib import Path
 
 from deploy.registry import Registry
 from deploy.services import load_services
-from deploy.state import ENDED, EXIT_INTERRUPTED, StackFolder, StackState, exit_in_words
+from deploy.state import ENDED, StackFolder, StackState, exit_in_words
 from deploy.terminal import Terminal, said
-from shared.cli import EXIT_ERROR, EXIT_STANDING, Command, run, run_command
+from shared.cli import EXIT_ERROR, EXIT_INTERRUPTED, EXIT_STANDING, Command, run, run_command
 from shared.errors import ConfigError, LinkError
 
 _POLL_SECONDS = 0.1

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from types import FrameType
 
-from deploy.state import EXIT_INTERRUPTED
+from shared.entry import EXIT_INTERRUPTED
 from shared.errors import LinkError
 
 _READY = b"ready"

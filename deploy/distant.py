@@ -9,12 +9,12 @@ from __future__ import annotations
 import contextlib
 import re
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from deploy.namespaces import QUEUE_MS, Machines, name_machines
+from shared.entry import python
 from shared.errors import ConfigError, LinkError
 
 _RATE = re.compile(r"(\d+)([kmg])bit")
@@ -37,7 +37,7 @@ def two_distant_machines(*, rate: str, round_trip_ms: float) -> Iterator[Machine
             Path(folder), carried=bytes_per_ms(rate), one_way_ms=round_trip_ms / 2
         )
         cable = subprocess.Popen(
-            [sys.executable, "-m", "netem", "packets", *options, *names],
+            python("-m", "netem", "packets", *options, *names),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

@@ -6,6 +6,10 @@ needed nowhere else.
 
 from __future__ import annotations
 
+from remote_wbc import begin
+
+begin(__name__)
+
 import ipaddress
 import os
 import re

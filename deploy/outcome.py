@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from shared.config import RunConfig
+from shared.entry import python
 from shared.report import discrepancy_report, edge_report, link_report, summary
 from shared.telemetry import read_parquet
 
@@ -56,7 +56,7 @@ def summarise(run: Path, config: RunConfig) -> dict[str, Any] | None:
 
 def record(run: Path, say: Callable[[str], None]) -> None:
     """The recording of a run that nobody watched throughout, made from its files."""
-    command = [sys.executable, "-m", "viewer", "record", str(run)]
+    command = python("-m", "viewer", "record", str(run))
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     for line in (done.stdout + done.stderr).splitlines():
         say(line)

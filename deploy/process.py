@@ -25,7 +25,6 @@ async def start_process(command: Sequence[str]) -> Process:
         stderr=asyncio.subprocess.STDOUT,
         start_new_session=True,
         preexec_fn=_die_with_parent if sys.platform == "linux" else None,
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
     )
 
 

@@ -7,10 +7,10 @@ projectors are when they are used, and how many the link did not take. As root:
 
 from __future__ import annotations
 
-# isort: off
-import shared.single_thread  # noqa: F401
+from remote_wbc import begin
 
-# isort: on
+begin(__name__)
+
 import argparse
 import contextlib
 import itertools
@@ -29,6 +29,7 @@ from deploy.keys import make
 from deploy.namespaces import Machine, Machines, two_machines
 from shared.cli import EXIT_STANDING, Parser, run
 from shared.config import RobotConfig
+from shared.entry import python
 from shared.errors import LinkError
 from shared.report import versions
 
@@ -146,7 +147,7 @@ def _trial(
 
 
 def _start(machine: Machine, output: Path, *flags: str) -> subprocess.Popen[bytes]:
-    command = machine.command(sys.executable, "-m", "deploy.up", *flags)
+    command = machine.command(*python("-m", "deploy.up", *flags))
     with output.open("wb") as file:
         return subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT

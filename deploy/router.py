@@ -6,13 +6,16 @@ With certificates it admits the robots whose certificate, robot-NAME.crt, lies i
 
 from __future__ import annotations
 
+from remote_wbc import begin
+
+begin(__name__)
+
 import os
 
 # The thread that receives waits for one that sends while a queue is full: not the same one, as the
 # nodes have it. Before zenoh is imported.
 os.environ.pop("ZENOH_RUNTIME", None)
 
-# isort: split
 import time
 
 from shared.bus.security import ROUTER, Credentials

@@ -22,7 +22,6 @@ from deploy.registry import Registry
 from deploy.services import IGNORED, OUTCOME, Service
 from deploy.state import (
     ENDED,
-    EXIT_INTERRUPTED,
     READY,
     STARTING,
     STOPPING,
@@ -34,8 +33,9 @@ from deploy.state import (
 from deploy.supervisor import Launch, Supervisor
 from deploy.terminal import Terminal
 from deploy.watch import open_hub, status_of, tell
-from shared.cli import EXIT_ERROR, EXIT_FELL, EXIT_STANDING
+from shared.cli import EXIT_ERROR, EXIT_FELL, EXIT_INTERRUPTED, EXIT_STANDING
 from shared.config import RunConfig
+from shared.entry import python
 from shared.errors import LinkError, UserError
 from shared.report import summary_in_words
 
@@ -211,7 +211,7 @@ class Stack:
             "name": run.name,
             "secure": secure,
         }
-        command = [sys.executable, "-m", *step.arguments]
+        command = python("-m", *step.arguments)
         for flag in step.service.takes:
             if values[flag] is not None:
                 command += [f"--{flag}", str(values[flag])]

@@ -21,8 +21,6 @@ from typing import TextIO
 from shared.errors import ConfigError
 
 STARTING, READY, STOPPING, ENDED = "starting", "ready", "stopping", "ended"
-# Of a run that a signal has ended, as a shell would say.
-EXIT_INTERRUPTED = 130
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,9 @@ class Terminal:
 
     def __init__(self, copy: LineFile | None = None) -> None:
         self._copy = copy
-        self._live = sys.stdout.isatty()
+        self._live = sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+        # https://no-color.org
+        self._coloured = self._live and not os.environ.get("NO_COLOR")
         self._quiet = False
         self._status = ""
         self._last_plain, self._last_copied = 0.0, time.monotonic()
@@ -45,8 +47,10 @@ class Terminal:
         """One line of a service."""
         plain = f"{name:>6} | {line}"
         if self._live:
-            colour = _COLOURS.get(name, "")
-            self._print(f"{colour}{name:>6} │{_RESET} {line}")
+            label = f"{name:>6} │"
+            if self._coloured:
+                label = f"{_COLOURS.get(name, '')}{label}{_RESET}"
+            self._print(f"{label} {line}")
         else:
             self._print(plain)
         self._keep(plain)

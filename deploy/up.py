@@ -7,10 +7,10 @@ ready. 3: the robot fell. 130: a signal ended its run. Anything else: an error t
 
 from __future__ import annotations
 
-# isort: off
-import shared.single_thread  # noqa: F401
+from remote_wbc import begin
 
-# isort: on
+begin(__name__)
+
 import argparse
 import asyncio
 import dataclasses

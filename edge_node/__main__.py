@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-# isort: off
-import shared.single_thread  # noqa: F401
+from remote_wbc import begin
 
-# isort: on
+begin(__name__)
+
 import time
 
 from edge_node.node import EdgeNode

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-# isort: off
-import shared.single_thread  # noqa: F401
+from remote_wbc import begin
 
-# isort: on
+begin(__name__)
+
 from experiments.atlas import add_atlas_arguments, run_atlas
 from experiments.check import add_check_arguments, run_check
 from experiments.corrections import add_corrections_arguments, run_corrections

@@ -9,7 +9,7 @@ bisection plays next depends on what it has played, and on nothing else: not on 
 from __future__ import annotations
 
 # isort: off
-import shared.single_thread  # noqa: F401
+import shared.native_libraries  # noqa: F401
 
 # isort: on
 import argparse

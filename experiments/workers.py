@@ -7,7 +7,7 @@ fails in a trial is in its record; an exception says that nobody is there to pla
 from __future__ import annotations
 
 # isort: off
-import shared.single_thread  # noqa: F401
+import shared.native_libraries  # noqa: F401
 
 # isort: on
 import asyncio
@@ -155,7 +155,7 @@ def _cluster(address: str) -> Iterator[Players]:
         except (OSError, asyncio.TimeoutError):
             raise ConfigError(
                 f"--scheduler: {address} has no worker after {_WORKER_WITHIN:g} s; start some in a "
-                f"checkout of this commit: PYTHONPATH=. dask worker {address} --nthreads 1"
+                f"checkout of this commit: ./deploy/python -m dask worker {address} --nthreads 1"
             ) from None
         makings = _makings()
 
@@ -165,7 +165,7 @@ def _cluster(address: str) -> Iterator[Players]:
 
         lost = (
             f"--scheduler: a trial was lost by {address} or its workers, which have to run in a "
-            "checkout of this commit, with PYTHONPATH=."
+            "checkout of this commit, by ./deploy/python -m dask worker"
         )
         yield Players(submit, number=number, lost=lost)
     finally:
@@ -184,7 +184,7 @@ def _play_there(config: RunConfig, all_active_sets: bool, makings: dict[str, str
             raise ConfigError(
                 f"--scheduler: expected {name} {expected}, as here, on every worker, got "
                 f"{here[name]} on {worker.address}; bring both to the same commit and "
-                "requirements.lock, and start that worker anew"
+                "requirements.lock, and start that worker anew by ./deploy/python -m dask worker"
             )
     if worker.state.nthreads != 1:
         raise ConfigError(
@@ -195,7 +195,7 @@ def _play_there(config: RunConfig, all_active_sets: bool, makings: dict[str, str
 
 
 def _makings() -> dict[str, str]:
-    """What rows depend on beside the settings: the code, Python and packages."""
+    """What rows depend on beside the settings: the code, Python, packages, and how they round."""
     packages = {name: made for name, made in versions().items() if name != "platform"}
     return {"code": code_version(), **packages}
 

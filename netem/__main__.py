@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-# isort: off
-import shared.single_thread  # noqa: F401
+from remote_wbc import begin
 
-# isort: on
+begin(__name__)
+
 from netem.convert import add_convert_arguments, run_convert
 from netem.generator.calibration import add_calibrate_arguments, run_calibrate
 from netem.generator.generate import add_generate_arguments, run_generate

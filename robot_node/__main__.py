@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-# isort: off
-import shared.single_thread  # noqa: F401
+from remote_wbc import begin
 
-# isort: on
+begin(__name__)
+
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,15 @@ from robot_node.worker import WorkerComputer
 from shared.bus.base import Inbox
 from shared.bus.knock import knock
 from shared.bus.zenoh_bus import ZenohBus
-from shared.cli import EXIT_FELL, EXIT_STANDING, Parser, add_run_arguments, config_from, run
+from shared.cli import (
+    EXIT_FELL,
+    EXIT_INTERRUPTED,
+    EXIT_STANDING,
+    Parser,
+    add_run_arguments,
+    config_from,
+    run,
+)
 from shared.errors import LinkError
 from shared.motion.plan import make_motion
 from shared.realtime import prepare, suspend_garbage_collection
@@ -32,7 +40,6 @@ from shared.service import (
 from shared.wire.channels import DOWNLINK, TICKS_KEY, UPLINK
 
 _PRIORITY = 30
-_EXIT_INTERRUPTED = 130
 
 
 def main() -> int:
@@ -116,7 +123,7 @@ def main() -> int:
     if node.fallen:
         return EXIT_FELL
     finished = node.time_ns >= round(config.duration * 1e9)
-    return EXIT_STANDING if finished else _EXIT_INTERRUPTED
+    return EXIT_STANDING if finished else EXIT_INTERRUPTED
 
 
 if __name__ == "__main__":

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from shared.config import COM_PLANS, CONTROLLERS, TASKS, VIEWS, RunConfig
+from shared.entry import EXIT_ERROR, EXIT_INTERRUPTED, end_at_interrupt
 from shared.errors import ConfigError, UserError
 from shared.quantities import parse_angle, parse_duration_ns
 
 EXIT_STANDING = 0
-EXIT_ERROR = 2
 EXIT_FELL = 3
+_OUTPUT_ERRORS = (errno.ENOSPC, errno.EIO, errno.EBADF)
 
 
 class Parser(argparse.ArgumentParser):
@@ -158,16 +161,35 @@ def config_from(arguments: argparse.Namespace) -> RunConfig:
 
 def run(main: Callable[[], int]) -> NoReturn:
     """Exit with what `main` returns; a user's mistake is one line on standard error."""
+    before = signal.getsignal(signal.SIGINT)
+    # So far, and after `main`, an interrupt ends the process silently: see `shared.entry`.
+    silent = before not in (signal.SIG_IGN, signal.SIG_DFL, signal.default_int_handler)
     try:
+        if silent:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         code = main()
         sys.stdout.flush()
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         code = EXIT_ERROR
     except KeyboardInterrupt:
-        code = 130
+        code = EXIT_INTERRUPTED
     except BrokenPipeError:
         # Whoever read our output has left; nothing more can be said.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _give_up_output()
         code = EXIT_ERROR
+    except OSError as error:
+        # One of a file is the user's mistake in words by now: this is of the output itself.
+        if error.filename is not None or error.errno not in _OUTPUT_ERRORS:
+            raise
+        _give_up_output()
+        print(f"error: cannot write to standard output: {error.strerror}", file=sys.stderr)
+        code = EXIT_ERROR
+    if silent:
+        end_at_interrupt(code)
     raise SystemExit(code)
+
+
+def _give_up_output() -> None:
+    """Let what is left in standard output's buffer go nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.linalg  # noqa: F401  (its BLAS is one of those that are told)
+import threadpoolctl
 
 from shared.config import RunConfig
 from shared.metrics import (
@@ -22,6 +24,7 @@ from shared.metrics import (
     ticks_by_cardinality,
     true_active_sets,
 )
+from shared.native_libraries import instruction_set
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema
 
 DIRECTIONS = ("uplink", "downlink")
@@ -42,10 +45,22 @@ _PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Python, platform and the packages that results depend on."""
+    """Python, platform, how it rounds, and the packages that results depend on."""
     found = {"python": platform.python_version(), "platform": platform.platform()}
+    found |= {"instructions": instruction_set(), "blas": blas_kernels()}
     found.update({name: importlib.metadata.version(name) for name in _PACKAGES})
     return found
+
+
+def blas_kernels() -> str:
+    """The kernels of the BLAS libraries that have been loaded, numpy's and scipy's."""
+    loaded = threadpoolctl.threadpool_info()
+    kernels = {
+        each.get("architecture", each["internal_api"])
+        for each in loaded
+        if each["user_api"] == "blas"
+    }
+    return ", ".join(sorted(kernels))
 
 
 def cpu_name() -> str:

@@ -1,16 +1,15 @@
 """What every test may use: one loaded robot, its model and stacks, and random states near standing.
 
-One thread per linear-algebra call, as the nodes run: results are the same to the last bit on every
-machine of one kind, and tests do not fight over cores.
+Linear algebra on one thread and with one kernel, as in every process of ours: results are the same
+to the last bit on all machines that docs/reproduction.md names, and tests do not fight over cores.
 """
 
 from __future__ import annotations
 
-import os
+# isort: off
+import shared.native_libraries  # noqa: F401
 
-os.environ["OPENBLAS_NUM_THREADS"] = "1"
-os.environ["OMP_NUM_THREADS"] = "1"
-
+# isort: on
 from collections.abc import Callable
 from typing import Any
 

@@ -28,7 +28,7 @@ from netem.recorder.recording import Recorded, estimate_clock, reconstruct
 from shared.bus.base import new_session
 from shared.bus.security import EDGE, Credentials
 from shared.bus.zenoh_bus import ZenohBus
-from shared.cli import EXIT_STANDING
+from shared.cli import EXIT_INTERRUPTED, EXIT_STANDING
 from shared.config import RobotConfig
 from shared.errors import ConfigError, LinkError
 from shared.realtime import prepare, suspend_garbage_collection
@@ -37,7 +37,6 @@ from shared.wire.channels import DOWNLINK, UPLINK
 
 _PRIORITY = 30
 _MAX_SECONDS = 3600.0
-_EXIT_INTERRUPTED = 130
 _CLOCKS = ("own", "synchronised")
 # Options of the near end and what they are unless given.
 _NEAR_DEFAULTS = {
@@ -106,7 +105,7 @@ def _run_near(arguments: argparse.Namespace) -> int:
         bus.subscribe(DOWNLINK.key_for(me.robot), loop.receive)
         suspend_garbage_collection()
         if not loop.connect(arguments.connect, lambda: stop.requested):
-            return _EXIT_INTERRUPTED
+            return EXIT_INTERRUPTED
         say(
             f"recording {seconds:g} s to {out}: {1e9 / settings.period_ns:g} messages a second, "
             f"{settings.uplink_bytes} B up, {settings.downlink_bytes} B down; Ctrl-C ends it early"

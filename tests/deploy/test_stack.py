@@ -7,6 +7,7 @@ import dataclasses
 import os
 import signal
 import socket
+import sys
 from pathlib import Path
 
 import pytest
@@ -31,7 +32,9 @@ MODULES = {
 @pytest.fixture
 def stack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A stack of a robot that runs one of the modules."""
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    # Not isolated, so that it finds them.
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("deploy.stack.python", lambda *arguments: [sys.executable, *arguments])
     (tmp_path / "run").mkdir()
 
     def make(module: str, *arguments: object) -> Stack:

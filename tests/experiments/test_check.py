@@ -10,11 +10,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from experiments.check import add_check_arguments, difference, matched, run_check
+from experiments.check import add_check_arguments, changed, difference, matched, run_check
+from experiments.journal import ROOT
+from experiments.rounding import beyond, differences
 from experiments.study import read_study
 from experiments.sweep import sweep
 from experiments.trial_table import read_trials
 from shared.errors import ConfigError
+from shared.native_libraries import AVX2, KERNEL
+from shared.report import versions
+
+PUBLISHED = ROOT / "docs/results/trials"
 
 STUDY = """
 seeds = 2
@@ -96,7 +102,7 @@ def test_a_row_of_no_trial_differs_without_being_played(folder, capsys):
 def test_a_sample_is_drawn_by_its_seed(finished, capsys, monkeypatch):
     drawn = []
 
-    def replayed(study, rows, trials, workers):
+    def replayed(study, rows, trials, workers, *, exact):
         drawn.append(sorted(trials))
         return []
 
@@ -136,11 +142,65 @@ def test_rows_of_a_bisection_after_a_changed_outcome_are_none_of_its_trials(stud
     assert [stranger.number for stranger in strangers] == [2, 3]
 
 
+def told(row, again):
+    return difference(row, again, changed(row, again))
+
+
 def test_a_column_in_one_row_only_is_a_difference():
-    assert difference({"a": 1, "b": [1, None]}, {"a": 1, "b": [1, None]}) == ""
-    assert difference({"a": 1}, {"a": 1, "c": None}) == "c is not there, played again None"
-    assert difference({"a": 1, "c": 2}, {"a": 1}) == "c is 2, played again not there"
-    assert difference({"robot_tick_ms.p50": 1.0}, {"robot_tick_ms.p50": 2.0}) == ""
+    assert told({"a": 1, "b": [1, None]}, {"a": 1, "b": [1, None]}) == ""
+    assert told({"a": 1}, {"a": 1, "c": None}) == "c is not there, played again None"
+    assert told({"a": 1, "c": 2}, {"a": 1}) == "c is 2, played again not there"
+    assert told({"robot_tick_ms.p50": 1.0}, {"robot_tick_ms.p50": 2.0}) == ""
+
+
+def rounded_there(folder, **versions):
+    """As if the sweep had been played where sums are rounded otherwise."""
+    about = json.loads((folder / "about.json").read_text())
+    about["versions"] |= versions
+    (folder / "about.json").write_text(json.dumps(about))
+
+
+def test_where_sums_are_rounded_otherwise_small_differences_are_told_with_the_reason(
+    folder, capsys
+):
+    com_error_m = read_trials(folder).to_pylist()[2]["com_error_m"]
+    spoil(folder, com_error_m=com_error_m * (1 + 1e-4), log_hash="of other bits")
+    assert check(folder, "--sample", "4") == 1
+    rounded_there(folder, blas="SkylakeX")
+    capsys.readouterr()
+    assert check(folder, "--sample", "4") == 0
+    said = capsys.readouterr().out
+    assert f"blas SkylakeX there, {versions()['blas']} here" in said
+    assert "row 2 (link.network=generated:factory, seed=0) differs by rounding: com_error_m" in said
+    assert "rows that differ by rounding alone: 1" in said
+
+
+def test_rounding_explains_neither_another_outcome_nor_a_large_difference(folder, capsys):
+    rounded_there(folder, instructions="aarch64")
+    com_error_m = read_trials(folder).to_pylist()[2]["com_error_m"]
+    spoil(folder, com_error_m=com_error_m + 0.001)
+    assert check(folder, "--sample", "4") == 1
+    assert "seed=0) differs: com_error_m" in capsys.readouterr().out
+    spoil(folder, com_error_m=com_error_m, fell=True)
+    assert check(folder, "--sample", "4") == 1
+    assert "seed=0) differs: fell is True" in capsys.readouterr().out
+
+
+def test_of_a_fall_only_its_time_is_compared_where_sums_are_rounded_otherwise():
+    row = {"fell": True, "task_seconds": 1.5, "com_error_m": 3.0}
+    again = {"fell": True, "task_seconds": 1.501, "com_error_m": 0.4}
+    assert beyond(row, again, changed(row, again)) == []
+    again["task_seconds"] = 1.6
+    assert beyond(row, again, changed(row, again)) == ["task_seconds"]
+
+
+def test_published_sweeps_round_as_every_process_of_ours_does_on_a_processor_with_avx2():
+    for about in sorted(PUBLISHED.glob("*/about.json")):
+        recorded = json.loads(about.read_text())["versions"]
+        here = versions()
+        if (here["instructions"], here["blas"]) != (AVX2, KERNEL):
+            pytest.skip(f"{here['blas']} on {here['instructions']}: compared with a tolerance")
+        assert differences({"versions": here | recorded}) == []
 
 
 @pytest.mark.parametrize(

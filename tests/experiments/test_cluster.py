@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from experiments.study import read_study
 from experiments.sweep import sweep
+from shared.entry import python
 from shared.errors import ConfigError
 
-ROOT = Path(__file__).parents[2]
 STUDY = """
 seeds = 2
 columns = ["fell", "com_error_m", "log_hash"]
@@ -55,9 +53,8 @@ def cluster(tmp_path_factory):
         here = ["--host", "127.0.0.1", "--no-dashboard"]
         with log.open("w") as file:
             process = subprocess.Popen(
-                [sys.executable, "-m", "dask", *arguments, *here],
-                cwd=ROOT,
-                env={**os.environ, "PYTHONPATH": str(ROOT)},
+                python("-m", "dask", *arguments, *here),
+                cwd=folder,
                 stdout=file,
                 stderr=subprocess.STDOUT,
             )

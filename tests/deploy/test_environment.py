@@ -1,0 +1,166 @@
+"""Commands work from any folder and in any environment, or say in one line what is wrong."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import venv
+from pathlib import Path
+
+import pytest
+
+from shared.entry import python
+
+ROOT = Path(__file__).resolve().parents[2]
+# What a folder of the caller's may have in it: of names of ours, and of packages that we use.
+FOREIGN = ("shared", "deploy", "numpy", "pinocchio", "zenoh")
+COMMANDS = {
+    "ps": [str(ROOT / "deploy/ps"), "--name", "nobody-of-this-name"],
+    "trial": [sys.executable, "-m", "experiments", "trial", "--duration", "0.01", "--push", "none"],
+}
+TELLS = {"ps": "nothing is running", "trial": "Stands after 0.01 s"}
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Path:
+    """A folder with packages of other people's, which cannot be imported, and such libraries."""
+    for name in FOREIGN:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise RuntimeError('of other people')\n")
+    (tmp_path / "lib").mkdir()
+    # As in a workspace of ROS: the loader would take it for the Pinocchio of our package.
+    (tmp_path / "lib/libpinocchio_default.so").write_text("no library")
+    return tmp_path
+
+
+def ran(command: list[str], *, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command,
+        cwd=cwd,
+        env={**os.environ, **environment},
+        capture_output=True,
+        encoding="utf-8",
+        errors="replace",
+        check=False,
+        timeout=300.0,
+    )
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {},
+        {"PYTHONPATH": "{foreign}"},
+        {"LD_LIBRARY_PATH": "{foreign}/lib:"},
+        {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"},
+        {"PYTHONSTARTUP": "{foreign}/none", "PYTHONOPTIMIZE": "2", "PYTHONWARNINGS": "error"},
+        {"CDPATH": "{foreign}:/", "OPENBLAS_CORETYPE": "SkylakeX"},
+    ],
+    ids=lambda environment: "+".join(environment) or "folder",
+)
+def test_a_command_does_not_depend_on_the_callers_folder_or_environment(
+    foreign: Path, environment: dict[str, str], name: str
+) -> None:
+    given = {key: value.format(foreign=foreign) for key, value in environment.items()}
+    done = ran(COMMANDS[name], cwd=foreign, **given)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(TELLS[name])
+    assert done.stderr == ""
+
+
+def test_deploys_commands_work_where_no_python_would_start(tmp_path: Path) -> None:
+    done = ran(COMMANDS["ps"], cwd=tmp_path, PYTHONHOME=str(tmp_path))
+    assert (done.returncode, done.stdout) == (0, "nothing is running\n"), done.stderr
+
+
+def test_a_child_has_nothing_of_the_callers_python_and_speaks_utf_8(foreign: Path) -> None:
+    script = "import sys; print(sys.flags.isolated, sys.stdout.encoding, 'é→', *sys.path)"
+    done = ran(python("-c", script), cwd=foreign, PYTHONPATH=str(foreign), PYTHONIOENCODING="ascii")
+    assert done.stdout.startswith("1 utf-8 é→ "), done.stderr
+    assert str(foreign) not in done.stdout
+
+
+def test_a_python_without_the_project_is_one_line(tmp_path: Path) -> None:
+    venv.create(tmp_path / "bare", symlinks=True)
+    bare = str(tmp_path / "bare/bin/python")
+    done = ran([bare, "-m", "experiments", "trial"], cwd=ROOT)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert f"got {bare}; ./deploy/setup installs it" in done.stderr
+
+
+def test_a_missing_package_is_one_line(tmp_path: Path) -> None:
+    venv.create(tmp_path / "bare", symlinks=True)
+    (packages,) = (tmp_path / "bare/lib").glob("python3*/site-packages")
+    (packages / "project.pth").write_text(f"{ROOT}\n")
+    done = ran([str(tmp_path / "bare/bin/python"), "-m", "experiments", "trial"], cwd=tmp_path)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"error: expected the package numpy in {tmp_path / 'bare'}, found none")
+
+
+def test_a_package_of_another_environment_is_one_line(foreign: Path, tmp_path: Path) -> None:
+    venv.create(tmp_path / "bare", symlinks=True)
+    (packages,) = (tmp_path / "bare/lib").glob("python3*/site-packages")
+    (foreign / "shared/__init__.py").unlink()
+    (foreign / "shared").rmdir()
+    (packages / "project.pth").write_text(f"{ROOT}\n{foreign}\n")
+    done = ran([str(tmp_path / "bare/bin/python"), "-m", "experiments", "trial"], cwd=tmp_path)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert f"found {foreign / 'numpy/__init__.py'}" in line
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_closed_output_is_none(tmp_path: Path, name: str) -> None:
+    done = ran(["sh", "-c", 'exec "$@" >&-', "sh", *COMMANDS[name]], cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_full_output_is_one_line(tmp_path: Path, name: str) -> None:
+    done = ran(["sh", "-c", 'exec "$@" >/dev/full', "sh", *COMMANDS[name]], cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "error: cannot write to standard output: No space left on device\n"
+
+
+def test_a_terminal_that_cannot_show_a_character_shows_another(tmp_path: Path) -> None:
+    script = (
+        "import sys; from shared.entry import enter\n"
+        "sys.stdout.reconfigure(encoding='latin-1'); enter(); print('é → Ω')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", script], cwd=tmp_path, capture_output=True, check=True
+    )
+    assert done.stdout == b"\xe9 ? ?\n"
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.2, 0.4, 0.8, 1.6])
+@pytest.mark.parametrize("name", ["ps", "up"])
+def test_an_interrupt_at_any_moment_is_silent(tmp_path: Path, name: str, seconds: float) -> None:
+    commands = {**COMMANDS, "up": [str(ROOT / "deploy/up"), "--config", str(tmp_path / "none")]}
+    process = subprocess.Popen(
+        commands[name],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    time.sleep(seconds)
+    # As a terminal does: all of the command's processes get it.
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGINT)
+    output, errors = process.communicate(timeout=300.0)
+    ended = {"ps": (0, "nothing is running\n", ""), "up": (2, "", "cannot read")}[name]
+    if process.returncode not in (130, -signal.SIGINT):
+        # It had ended already.
+        assert process.returncode == ended[0]
+        assert output == ended[1]
+        assert ended[2] in errors
+    assert len(errors.splitlines()) <= 1
+    assert "Traceback" not in errors
