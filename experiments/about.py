@@ -9,8 +9,9 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from experiments.code_identity import ROOT, code_version
 from experiments.dealing import Study
-from experiments.journal import ROOT, Record, code_version
+from experiments.journal import Record
 from shared.report import cpu_name, versions
 
 

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from experiments.about import commit_in_words
+from experiments.code_identity import code_version, present_identity
 from experiments.course import Trial
 from experiments.dealing import Study, value_in_words
-from experiments.journal import code_version
 from experiments.progress import Progress
 from experiments.rounding import ABSOLUTE, FALL_SECONDS, RELATIVE, beyond, differences
 from experiments.study import read_study
@@ -80,7 +80,7 @@ def run_check(arguments: argparse.Namespace) -> int:
             f"expected the folder of a finished sweep, got {folder}: no about.json with the "
             f"version of its code ({type(error).__name__})"
         ) from None
-    if code != code_version():
+    if present_identity(code) != code_version():
         print(
             f"the code is another: {folder} was played with {code}, at commit {commit}, "
             f"this is {code_version()}; rows may differ for that",

@@ -8,34 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import functools
-import hashlib
-import itertools
 import json
 from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from experiments.code_identity import code_version, present_identity
 from experiments.course import Trial
 from shared.errors import ConfigError
 
-ROOT = Path(__file__).parents[1]
-# What a trial runs through; studies and pictures can change without making trials void.
-_CODE = ("shared", "robot_node", "edge_node", "netem", "experiments/lockstep.py")
-
 # `summary` or `error`, `wall_seconds`; in the journal also `trial`, `code` and `label`.
 Record = dict[str, Any]
-
-
-@functools.cache
-def code_version() -> str:
-    """Hash of the sources that a trial runs through, as this process first saw them."""
-    digest = hashlib.sha256()
-    parts = [ROOT / name for name in _CODE]
-    files = [[part] if part.is_file() else part.rglob("*.py") for part in parts]
-    for path in sorted(itertools.chain(*files)):
-        digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:16]
 
 
 class Journal:
@@ -46,7 +29,8 @@ class Journal:
         try:
             self._lines: list[Record] = [json.loads(line) for line in file]
             for line in self._lines:
-                _ = line["trial"], line["code"], line["error"]
+                _ = line["trial"], line["error"]
+                line["code"] = present_identity(line["code"])
         except (ValueError, LookupError, TypeError) as error:
             raise ConfigError(f"out: {file.name} has a line that is no trial: {error}") from None
 

@@ -26,8 +26,9 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from experiments.code_identity import code_version
 from experiments.course import Trial
-from experiments.journal import Record, code_version
+from experiments.journal import Record
 from experiments.lockstep import Lockstep
 from shared.config import RunConfig
 from shared.errors import ConfigError, UserError

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.journal import code_version
+from experiments.code_identity import code_version
 from experiments.reproduction.compute_times import QUICK_SECONDS, measure
 from experiments.reproduction.figures import FIGURES
 from experiments.reproduction.layout import in_columns

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from experiments.check import add_check_arguments, changed, difference, matched, run_check
-from experiments.journal import ROOT
+from experiments.code_identity import ROOT
 from experiments.rounding import beyond, differences
 from experiments.study import read_study
 from experiments.sweep import sweep
