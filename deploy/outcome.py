@@ -20,6 +20,7 @@ from shared.entry import python
 from shared.report import discrepancy_report, edge_report, link_report, summary
 from shared.telemetry import read_parquet
 
+SUMMARY = "summary.json"
 _ROBOT, _EDGE, _LINK = "telemetry", "edge", "link"
 # An hour of all that a tick has would not fit into memory.
 _COMPARED = ("tick", "time_ns", "active_set", "com_error_m", "contact_violation_m_s2")
@@ -47,7 +48,7 @@ def summarise(run: Path, config: RunConfig) -> dict[str, Any] | None:
         discrepancy=_discrepancy(run),
     )
     text = json.dumps(result, indent=2)
-    (run / "summary.json").write_text(text + "\n", encoding="utf-8")
+    (run / SUMMARY).write_text(text + "\n", encoding="utf-8")
     for stem in (_ROBOT, _EDGE, _LINK):
         for file in _lives(run, stem):
             file.unlink()

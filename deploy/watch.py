@@ -1,7 +1,8 @@
-"""A run in lines, apart from what runs it: the telemetry hub, and what passes it.
+"""A run in lines, apart from what runs it: the telemetry hub, what passes it, and the summary.
 
 `python -m deploy.watch --listen tcp/0.0.0.0:7450`: robot, shim and viewer find one another there.
-`./deploy/up` has a hub of its own.
+`./deploy/up` has a hub of its own. Ended after the services, it sums up the files that they have
+left in `--out`.
 """
 
 from __future__ import annotations
@@ -11,12 +12,15 @@ from remote_wbc import begin
 begin(__name__)
 
 import time
+from pathlib import Path
 
+from deploy.outcome import SUMMARY, summarise
 from deploy.status import Status
 from deploy.terminal import Terminal
 from shared.bus.zenoh_bus import ZenohBus
 from shared.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
 from shared.config import RunConfig
+from shared.report import summary_in_words
 from shared.service import StopSignal
 from shared.wire.channels import LINK_KEY, TICKS_KEY
 
@@ -29,9 +33,15 @@ def main() -> int:
     parser.add_argument(
         "--listen", metavar="ENDPOINT", default=_ENDPOINT, help="(default %(default)s)"
     )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="where the services write: summed up at the end"
+    )
     add_run_arguments(parser)
     arguments = parser.parse_args()
     config = config_from(arguments)
+    if arguments.out is not None:
+        # Of an earlier run: this one may come to nothing.
+        (arguments.out / SUMMARY).unlink(missing_ok=True)
     stop = StopSignal()
     status, terminal = status_of(config), Terminal()
     hub = open_hub(arguments.listen, status, robot=config.robot.name)
@@ -43,6 +53,10 @@ def main() -> int:
     hub.close()
     told = status.events.in_words()
     if told:
+        print(told, flush=True)
+    if arguments.out is not None:
+        result = summarise(arguments.out, config)
+        told = summary_in_words(result) if result else "no summary: the robot left no report"
         print(told, flush=True)
     return EXIT_STANDING
 
