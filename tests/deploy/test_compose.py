@@ -1,4 +1,7 @@
-"""`compose.yaml` and the Dockerfile say the same as `services.toml`."""
+"""`compose.yaml` and the Dockerfile say the same as `services.toml`.
+
+With a daemon: tests/live/test_docker.py.
+"""
 
 from __future__ import annotations
 
@@ -105,14 +108,35 @@ def test_the_settings_are_a_run_that_has_a_shim(compose):
         assert mounted in container["volumes"]
 
 
+def test_others_are_stopped_before_the_hub_which_sums_up_what_they_leave(compose, declared):
+    for name in declared:
+        assert HUB in compose["services"][name]["depends_on"], name
+    folder = "runs:/runs"
+    assert all(folder in each["volumes"] for each in compose["services"].values())
+
+
+def test_real_time_can_be_done_without(compose):
+    assert {each["ulimits"]["rtprio"] for each in compose["services"].values()} == {"${RTPRIO:-40}"}
+
+
+def test_old_compose_reads_the_file_too(compose):
+    assert {key for key in compose if not key.startswith("x-")} == {
+        "services",
+        "networks",
+        "volumes",
+    }
+    assert (DEPLOY / ".env").read_text() == "COMPOSE_PROJECT_NAME=remote-wbc\n"
+
+
 def test_the_image_has_what_the_lock_names_and_what_the_services_are_made_of(dockerfile, declared):
     assert re.search(r"^FROM python:3\.\d+-slim$", dockerfile, re.M)
-    assert re.search(
-        r"pip install .*--require-hashes .*--requirement requirements\.lock", dockerfile
-    )
-    copied = {Path(name) for name in re.findall(r"^COPY (\w+) \w+$", dockerfile, re.M)}
-    modules = {Path(service.command[0].split(".")[0]) for service in declared.values()}
-    assert modules | {Path("shared"), Path("deploy")} == copied
-    admitted = (DEPLOY / "Dockerfile.dockerignore").read_text().split()
-    assert {f"!{name}" for name in copied} | {"!requirements.lock"} == set(admitted[1:-1])
-    assert 'ENTRYPOINT ["python", "-m", "deploy.container"]' in dockerfile
+    (source, lock), (everything, here) = re.findall(r"^COPY (\S+) (\S+)$", dockerfile, re.M)
+    assert (DEPLOY.parent / source).is_file()
+    assert re.search(rf"pip install .*--require-hashes .*--requirement {lock} ", dockerfile)
+    assert (everything, here) == (".", ".")
+    modules = {service.command[0].split(".")[0] for service in declared.values()}
+    admitted = {*modules, "shared", "deploy", "*.py"}
+    ignored = (DEPLOY.parent / ".dockerignore").read_text().splitlines()[1:]
+    assert ignored[0] == "*"
+    assert {f"!{name}" for name in admitted} == {line for line in ignored if line[0] == "!"}
+    assert 'ENTRYPOINT ["python", "-I", "-m", "deploy.container"]' in dockerfile
