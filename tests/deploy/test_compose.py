@@ -14,6 +14,7 @@ import yaml
 from deploy.container import READY_FILE
 from deploy.services import Service, load_services
 from shared.config_file import load_config
+from shared.robots import CATALOGUE
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 # It is part of ./deploy/up itself.
@@ -126,6 +127,11 @@ def test_old_compose_reads_the_file_too(compose):
         "volumes",
     }
     assert (DEPLOY / ".env").read_text() == "COMPOSE_PROJECT_NAME=remote-wbc\n"
+
+
+def test_the_image_keeps_the_models_of_all_robots_of_the_catalogue(dockerfile):
+    kept = set(re.findall(r"! -name (\w+)", dockerfile))
+    assert kept == {each.urdf.partition("/")[0] for each in CATALOGUE.values()}
 
 
 def test_the_image_has_what_the_lock_names_and_what_the_services_are_made_of(dockerfile, declared):
