@@ -13,8 +13,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 # What the image has of the project: .dockerignore.
 PACKAGES = ("shared", "robot_node", "edge_node", "netem", "viewer", "deploy")
-# Imported by what no service runs: figures, the docs site, and commands for a screen.
-ELSEWHERE = {"matplotlib", "mkdocs", "pymdownx", "latex2mathml"}
+# Imported by what no service runs: figures, the docs site, and the check of an installation.
+ELSEWHERE = {"matplotlib", "mkdocs", "pymdownx", "latex2mathml", "pip"}
 
 
 def pins(lock: str) -> dict[str, set[str]]:
