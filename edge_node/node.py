@@ -89,13 +89,16 @@ class EdgeNode:
             return None
         if state.holds is not None:
             return self._factorise(state, state.holds)
-        return self.solve(state)
+        return self._project(state)
 
-    def solve(self, state: RobotState) -> Answer:
-        """The full QP at a state, and its projector."""
+    def solve(self, state: RobotState) -> tuple[WholeBodySolution, np.ndarray]:
+        """The full QP at a state: its solution and b. Nothing is counted or encoded."""
+        return self._controller.solve(state.q, state.v, time_ns=state.time_ns, mode=state.mode)
+
+    def _project(self, state: RobotState) -> Answer:
+        """A projector for a robot that applies it; no data if the QP has no solution."""
         controller = self._controller
-        q, v, time_ns = state.q, state.v, state.time_ns
-        solution, b = controller.solve(q, v, time_ns=time_ns, mode=state.mode)
+        solution, b = self.solve(state)
         self.solved[solution.status.value] += 1
         if solution.status is not QpStatus.SOLVED or solution.projector is None:
             return Answer(state.sequence, solution, None)
@@ -108,9 +111,9 @@ class EdgeNode:
             sequence=state.sequence,
             stamp_ns=state.stamp_ns,
             mode=state.mode,
-            tau=recover_torque(controller.model, contacts, q, v, y),
+            tau=recover_torque(controller.model, contacts, state.q, state.v, y),
             y=y,
-            projectors=(controller.timed(projector, from_ns=time_ns), *self._prepared(state)),
+            projectors=(controller.timed(projector, from_ns=state.time_ns), *self._prepared(state)),
         )
         return Answer(state.sequence, solution, self._codec.encode_projector(message))
 

@@ -17,14 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from edge_node.node import EdgeNode
+from edge_node.node import Answer, EdgeNode
 from netem.delay_line import DelayLine, Due, make_lines
 from netem.networks import load_network
 from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
 from netem.shim import record_message
 from robot_node.controllers import MakeController
-from robot_node.node import Command, RobotNode, make_controller
+from robot_node.node import RobotNode, make_controller
+from robot_node.tick import Tick
 from shared.bus.base import Delivery, Inbox
 from shared.bus.memory import MemoryBus
 from shared.clock import SimClock
@@ -77,13 +78,13 @@ class Lockstep:
         self._all_active_sets = all_active_sets
         self._unsolved: dict[int, bytes] = {}
         self.ticks = RowLog(self.robot.schema)
+        self._tick = Tick(self.robot, self.ticks.row)
         self.link = RowLog(LINK_SCHEMA)
         self.solves = RowLog(SOLVE_SCHEMA)
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
         self._numbers = itertools.count()
         self._edge_busy = False
         self._edge_inbox, self._robot_inbox = Inbox(), Inbox()
-        self._measure_cost_ns = 0
         self._profile_name = "direct"
         self._lines: list[DelayLine[Delivery]] = []
         self._connect(robot.name)
@@ -176,9 +177,7 @@ class Lockstep:
 
     def _measure(self) -> None:
         now_ns = self.clock.now_ns()
-        started = time.perf_counter_ns()
-        data = self.robot.measure(now_ns)
-        self._measure_cost_ns = time.perf_counter_ns() - started
+        data = self._tick.begin(now_ns)
         if self._all_active_sets:
             self._unsolved[self.robot.tick] = data
         self._uplink.publish(data)
@@ -187,15 +186,7 @@ class Lockstep:
         self.at(now_ns + loop.period_ns, _RANK_MEASURE, self._measure)
 
     def _command(self) -> None:
-        started = time.perf_counter_ns()
-        for data in self._robot_inbox.take():
-            self.robot.receive(data)
-        command: Command = self.robot.command(self.clock.now_ns())
-        cost_ns = self._measure_cost_ns + time.perf_counter_ns() - started
-        row = self.ticks.row()
-        self.robot.record(row, command)
-        row[self.robot.schema.slices["tick_ns"]] = cost_ns
-        self.robot.advance(command)
+        self._tick.end(self.clock.now_ns(), self._robot_inbox.take())
 
     def _result(self, *, wall_seconds: float) -> TrialResult:
         for log in (self.ticks, self.link, self.solves):
@@ -236,8 +227,9 @@ class Lockstep:
         """The report of the active set, with the states that the edge did not solve, Table VI."""
         missed = RowLog(SOLVE_SCHEMA)
         for data in self._unsolved.values():
-            answer = self.edge.solve(self._codec.decode_state(data))
-            answer.record(missed.row(), wall_ns=0, solve_ns=0)
+            state = self._codec.decode_state(data)
+            solution, _ = self.edge.solve(state)
+            Answer(state.sequence, solution, None).record(missed.row(), wall_ns=0, solve_ns=0)
         missed.close()
         solved = np.concatenate([missed.rows(), solve_rows])
         return discrepancy_report(self.robot.schema, rows, solved)

@@ -60,6 +60,19 @@ class Decision:
     staleness: float = math.nan
 
 
+@dataclass(frozen=True, slots=True)
+class Command:
+    """The torque of one tick (nv − 6,) [N m], clamped; the decision behind it, if there is one.
+
+    `age_ns` is the time since the state was measured that the decision's answer was computed from.
+    """
+
+    tau: np.ndarray
+    source: Source
+    age_ns: int
+    decision: Decision | None
+
+
 class Controller(Protocol):
     """From the edge's answers and a fresh measurement to a command."""
 

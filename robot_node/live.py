@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from robot_node.controllers import Source
 from robot_node.node import RobotNode
+from robot_node.tick import Tick
 from shared.bus.base import Delivery, Inbox, Publisher
 from shared.clock import MonotonicClock, Ticker, sleep_until
 from shared.config import LoopConfig
@@ -60,7 +61,7 @@ class LiveLoop:
         self._config = config
         self._uplink = uplink
         self._inbox = inbox
-        self._log = log
+        self._tick = Tick(node, log.row)
         self._explain = explain
         self._clock = MonotonicClock()
         self._arrived_ns = 0
@@ -79,31 +80,28 @@ class LiveLoop:
         node, clock, config = self._node, self._clock, self._config
         begun_ns = clock.now_ns()
         ticker = Ticker(start_ns=begun_ns, period_ns=config.period_ns)
-        columns = node.schema.slices
         task_began_ns = begun_ns
         while node.time_ns < duration_ns and not node.fallen and not stopping():
             sleep_until(ticker.due_ns)
             now_ns = clock.now_ns()
             late_ns = now_ns - ticker.due_ns
-            self._uplink.publish(node.measure(now_ns))
-            measured_ns = clock.now_ns()
+            state = self._tick.begin(now_ns)
+            sensed_ns = clock.now_ns()
+            self._uplink.publish(state)
+            sending_ns = clock.now_ns() - sensed_ns
 
             if node.waits_for_answers and self._round_trip_ns < config.fresh_within_ns:
                 sleep_until(ticker.due_ns + config.fresh_within_ns)
-            received_ns = clock.now_ns()
-            for data in self._inbox.take():
-                if node.receive(data):
-                    self._round_trip_ns = self._arrived_ns - node.cache.newest_stamp_ns
-            command = node.command(clock.now_ns())
-            commanded_ns = clock.now_ns()
-
-            row = self._log.row()
-            node.record(row, command)
-            row[columns["tick_ns"]] = measured_ns - now_ns + commanded_ns - received_ns
-            row[columns["late_ns"]] = late_ns
-            row[columns["overruns"]] = ticker.overruns
             was_running = node.running
-            node.advance(command)
+            command, answered = self._tick.end(
+                clock.now_ns(),
+                self._inbox.take(),
+                late_ns=late_ns,
+                overruns=ticker.overruns,
+                sending_ns=sending_ns,
+            )
+            if answered:
+                self._round_trip_ns = self._arrived_ns - node.cache.newest_stamp_ns
 
             now_ns = clock.now_ns()
             if not node.running:

@@ -2,7 +2,8 @@
 
 `measure` senses and returns the state to send; `command`, d* later, takes what has arrived and
 produces the torque of this tick by Eq. (7): the answer to *this* state if it is here, else the
-newest one in the cache, else the joints are held. `advance` then moves the simulated robot.
+newest one in the cache, else the joints are held. `advance` then ends the tick and moves the
+simulated robot. `robot_node/tick.py` drives them.
 
 Time of the task begins when the first answer arrives; until then the robot stands still and sends.
 A tick never raises: what goes wrong is counted and named.
@@ -10,16 +11,13 @@ A tick never raises: what goes wrong is counted and named.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
 
 from robot_node.cache import AnswerCache, FactorisationCache, ProjectorCache
 from robot_node.controllers import (
+    Command,
     Controller,
     ControllerParts,
-    Decision,
     LocallyAssisted,
     MakeController,
     PurelyRemote,
@@ -38,30 +36,17 @@ from robot_node.plant import MujocoPlant, Plant
 from robot_node.rigid_plant import RigidPlant
 from robot_node.safety import JointHold, RungChange, TorqueGuard, has_fallen
 from robot_node.sensors import Sensors
+from robot_node.tick_row import Moment, TickRow
 from shared.bus.base import new_session
 from shared.config import RunConfig
 from shared.motion.reference import Motion, Reference
 from shared.quantities import parse_push
 from shared.robots import Foot, Robot
 from shared.telemetry import Schema, tick_schema
-from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
-from shared.wbc.stack import Stack
+from shared.wbc.stack import make_stacks
 from shared.wire.codec import Codec
 from shared.wire.messages import RobotState
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """The torque of one tick (nv − 6,) [N m], clamped; the decision behind it, if there is one.
-
-    `age_ns` is the time since the state was measured that the decision's answer was computed from.
-    """
-
-    tau: np.ndarray
-    source: Source
-    age_ns: int
-    decision: Decision | None
 
 
 def needs_on_board_computer(config: RunConfig, motion: Motion) -> bool:
@@ -114,11 +99,12 @@ class RobotNode:
         self._plant = self._make_plant(robot)
         self._sensors = Sensors(config.sensors, seed=config.seed)
         self._model = WholeBodyModel(robot)
-        self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+        stacks = make_stacks(robot, config.wbc)
+        self._row = TickRow(self.schema, self._model, stacks)
         self._session = new_session() if session is None else session
         self._codec = Codec(robot, config, motion)
         self.controller = make_controller(
-            ControllerParts(config, self._codec, self._session, self._model, self._stacks)
+            ControllerParts(config, self._codec, self._session, self._model, stacks)
         )
         self.cache: AnswerCache = self.controller.cache
         self.on_board: OnBoard | None = None
@@ -136,7 +122,6 @@ class RobotNode:
         self._standing_com_height = float(motion.reference(0).com[2])
         self._measured_ns = 0
         self._stopping = False
-        self._set_down: dict[Foot, np.ndarray] = {}
         self._true_state: tuple[np.ndarray, np.ndarray]
         self._q: np.ndarray
         self._v: np.ndarray
@@ -192,55 +177,45 @@ class RobotNode:
             self._stop_walking()
         return Command(self._bounded(safe, source), source, age_ns, decision)
 
-    def advance(self, command: Command) -> None:
-        """Move the plant by one period; before the first answer, only count the tick."""
+    def advance(self, command: Command, row: np.ndarray | None = None) -> None:
+        """End the tick: whether the robot has fallen, the telemetry row, and the plant's step.
+
+        Before the first answer the plant stands still. `row` is filled if it is given.
+        """
+        com, soles = self._model.com_and_soles(self._true_state[0])
+        self.fallen = has_fallen(
+            self._true_state[0], com_height=com[2], standing_com_height=self._standing_com_height
+        )
+        push = self._push()
+        if row is not None:
+            self._row.fill(row, self._moment(command, com, soles, push), command)
         if not self.running and command.source is not Source.HELD:
             self.running = True
             self._sensors.restart()
         self.tick += 1
         if not self.running:
             return
-        self._plant.step(command.tau, push=self._push())
+        self._plant.step(command.tau, push=push)
         self.time_ns += self._config.loop.period_ns
 
-    def record(self, row: np.ndarray, command: Command) -> None:
-        """Fill the telemetry row of this tick; between `command` and `advance`."""
-        columns = self.schema.slices
+    def _moment(
+        self, command: Command, com: np.ndarray, soles: dict[Foot, np.ndarray], push: np.ndarray
+    ) -> Moment:
         q, v = self._true_state
-        com, soles = self._model.com_and_soles(q)
-        row[columns["tick"]] = self.tick
         in_task = self.running or command.decision is not None
-        row[columns["time_ns"]] = self.time_ns if in_task else -1
-        row[columns["wall_ns"]] = self._measured_ns
-        row[columns["source"]] = command.source
-        row[columns["mode"]] = self._reference.mode
-        row[columns["q"]] = q
-        row[columns["v"]] = v
-        row[columns["tau"]] = command.tau
-        row[columns["com"]] = com
-        row[columns["com_reference"]] = self._reference.com
-        error = com - self._reference.com
-        row[columns["com_error_m"]] = math.sqrt(error @ error)
-        row[columns["contact_violation_m_s2"]] = np.nan
-        decision = command.decision
-        row[columns["contraction"]] = row[columns["staleness_rad"]] = np.nan
-        row[columns["projector_sequence"]] = row[columns["active_set"]] = -1
-        if decision is not None:
-            forces = row[columns["f"]].reshape(len(Foot), -1)
-            loaded = list(decision.mode.feet_indices)
-            forces[loaded] = decision.y[self._model.nv :].reshape(len(loaded), -1)
-            row[columns["contact_violation_m_s2"]] = self._contact_violation(decision.y)
-            row[columns["projector_sequence"]] = decision.sequence
-            row[columns["active_set"]] = decision.active_set
-            row[columns["contraction"]] = decision.contraction
-            row[columns["staleness_rad"]] = decision.staleness
-        row[columns["push_n"]] = self._push()
-        row[columns["foot_slip_m"]] = self._foot_slips(soles)
-        row[columns["projector_age_ns"]] = command.age_ns
-        row[columns["on_board_qps"]] = 0 if self.on_board is None else self.on_board.solves
-        row[columns["refused"]] = self.cache.refused.total_refused
-        self.fallen = has_fallen(
-            q, com_height=com[2], standing_com_height=self._standing_com_height
+        return Moment(
+            tick=self.tick,
+            time_ns=self.time_ns if in_task else -1,
+            wall_ns=self._measured_ns,
+            q=q,
+            v=v,
+            com=com,
+            soles=soles,
+            measured=(self._q, self._v),
+            reference=self._reference,
+            push=push,
+            on_board_qps=0 if self.on_board is None else self.on_board.solves,
+            refused=self.cache.refused.total_refused,
         )
 
     def _solve_on_board(self) -> None:
@@ -283,26 +258,6 @@ class RobotNode:
             if push.active(self.time_ns):
                 force += push.force
         return force
-
-    def _foot_slips(self, soles: dict[Foot, np.ndarray]) -> list[float]:
-        """Distance in the plane of each loaded sole from where it was set down, NaN in the air."""
-        loaded = self._reference.mode.feet
-        slips = []
-        for foot, position in soles.items():
-            if foot not in loaded:
-                self._set_down.pop(foot, None)
-                slips.append(math.nan)
-                continue
-            moved = position[:2] - self._set_down.setdefault(foot, position[:2])
-            slips.append(math.hypot(*moved))
-        return slips
-
-    def _contact_violation(self, y: np.ndarray) -> float:
-        stack = self._stacks[self._reference.mode]
-        velocity, acceleration = self._model.sole_motion(
-            stack.support_foot, self._q, self._v, y[: self._model.nv]
-        )
-        return stack.contact_violation(velocity, acceleration)
 
     def _make_plant(self, robot: Robot) -> Plant:
         timestep = self._config.loop.period_ns * 1e-9

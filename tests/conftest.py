@@ -23,7 +23,7 @@ from shared.motion.reference import Reference, Standing
 from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
-from shared.wbc.stack import Stack
+from shared.wbc.stack import Stack, make_stacks
 from tests.states import State, random_states
 
 # The same examples in every run, however slow the machine is at that moment.
@@ -60,7 +60,7 @@ def reference(motion: Standing) -> Reference:
 
 @pytest.fixture(scope="session")
 def stacks(robot: Robot, config: RunConfig) -> dict[ContactMode, Stack]:
-    return {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+    return make_stacks(robot, config.wbc)
 
 
 @pytest.fixture(scope="session")

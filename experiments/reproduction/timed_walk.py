@@ -16,11 +16,10 @@ from shared.config import RunConfig
 from shared.motion.reference import Reference
 from shared.robots import load_robot
 from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA
-from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import solve
 from shared.wbc.qp import make_solver
-from shared.wbc.stack import Stack
+from shared.wbc.stack import make_stacks
 from shared.wbc.torque import recover_torque
 
 # Left out of every walk: until then caches and branch predictors are cold.
@@ -91,7 +90,7 @@ def full_controller(
     """
     robot = load_robot(config.robot.name)
     model = WholeBodyModel(robot)
-    stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+    stacks = make_stacks(robot, config.wbc)
     solver = make_solver(config.wbc.solver)
     qp_ns, full_ns = np.empty((2, repetitions, len(states)))
     for r in range(repetitions):

@@ -200,3 +200,8 @@ class Stack:
         """
         violation = acceleration + self.contact_damping * velocity
         return math.sqrt(violation @ violation)
+
+
+def make_stacks(robot: Robot, config: WbcConfig) -> dict[ContactMode, Stack]:
+    """The stack of every contact mode."""
+    return {mode: Stack(robot, config, mode) for mode in ContactMode}

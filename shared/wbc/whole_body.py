@@ -16,7 +16,7 @@ from shared.wbc.correction import Factorisation, factorise_kkt
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import Projector, WholeBodySolution, solve
 from shared.wbc.qp import make_solver
-from shared.wbc.stack import Stack
+from shared.wbc.stack import make_stacks
 
 FOR_EVER_NS = 2**62
 
@@ -35,7 +35,7 @@ class WholeBodyController:
 
     def __init__(self, robot: Robot, config: WbcConfig, motion: Motion) -> None:
         self.model = WholeBodyModel(robot)
-        self.stacks = {mode: Stack(robot, config, mode) for mode in ContactMode}
+        self.stacks = make_stacks(robot, config)
         self._motion = motion
         self._solver = make_solver(config.solver)
 

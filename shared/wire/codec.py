@@ -20,7 +20,7 @@ from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Factorisation
 from shared.wbc.projector import Projector
-from shared.wbc.stack import RowLayout, Stack
+from shared.wbc.stack import RowLayout, make_stacks
 from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
@@ -44,7 +44,7 @@ class Codec:
         self._nq, self._nv = robot.model.nq, robot.model.nv
         self._dtype_name = config.wire.projector_dtype
         self._dtype = _DTYPES[self._dtype_name]
-        self._stacks = {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+        self._stacks = make_stacks(robot, config.wbc)
         self._layouts: dict[ContactMode, RowLayout] = {
             mode: stack.layout for mode, stack in self._stacks.items()
         }

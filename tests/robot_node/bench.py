@@ -1,4 +1,4 @@
-"""The robot's tick by hand: measure, receive what the test says, command, record, advance."""
+"""A robot and an edge, tick by tick; what arrives is the test's to say."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from edge_node.node import EdgeNode
 from robot_node.node import RobotNode
+from robot_node.tick import Tick
 from shared.wire.codec import Codec
 
 MS = 1_000_000
@@ -25,24 +26,25 @@ class Bench:
         self.codec = Codec(robot, config, motion)
         self.now_ns = 0
         self.rows = []
+        self._tick = Tick(self.robot, self._next_row)
         self.commands = []
 
     def tick(self, *, deliver=lambda answer: [answer]):
         """One period; `deliver` turns the edge's answer into the messages that arrive."""
-        self.sent = self.robot.measure(self.now_ns)
+        self.sent = self._tick.begin(self.now_ns)
         self.edge.receive(self.sent)
         answer = self.edge.step()
+        arrived = []
         if answer is not None and answer.data is not None:
-            for data in deliver(answer.data):
-                self.robot.receive(data)
-        command = self.robot.command(self.now_ns + DEADLINE_NS)
-        row = np.zeros(self.robot.schema.width)
-        self.robot.record(row, command)
-        self.robot.advance(command)
+            arrived = deliver(answer.data)
+        command, _ = self._tick.end(self.now_ns + DEADLINE_NS, arrived)
         self.now_ns += MS
-        self.rows.append(row)
         self.commands.append(command)
         return command
+
+    def _next_row(self):
+        self.rows.append(np.zeros(self.robot.schema.width))
+        return self.rows[-1]
 
     def run(self, ticks, **how):
         for _ in range(ticks):

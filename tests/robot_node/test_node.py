@@ -11,6 +11,7 @@ from edge_node.node import EdgeNode
 from robot_node.controllers import Source
 from robot_node.node import RobotNode
 from robot_node.safety import JointHold, TorqueGuard
+from robot_node.tick import Tick
 from shared.wire.codec import Codec
 from shared.wire.messages import TimedProjector
 from tests.messages import altered, make_state
@@ -293,14 +294,25 @@ def test_a_fall_is_noticed(bench, robot):
     assert played.robot.fallen
 
 
+def test_a_fall_is_noticed_where_no_rows_are_kept(robot, motion, configured):
+    node = RobotNode(robot, configured(push=[]), motion)
+    tick = Tick(node)
+    q = robot.q_standing.copy()
+    q[2] -= 0.4
+    node._plant.set_state(q, np.zeros(37))
+    tick.begin(0)
+    tick.end(DEADLINE_NS, [])
+    assert node.fallen
+
+
 def test_a_state_that_is_not_finite_is_a_fall_and_no_exception(bench, robot):
     played = bench().run(2)
     played.robot._plant.data.qpos[20] = np.nan
     # The edge refuses such a state, so nothing arrives.
     played.robot.measure(played.now_ns)
     command = played.robot.command(played.now_ns + DEADLINE_NS)
-    played.robot.record(np.zeros(played.robot.schema.width), command)
     assert np.isfinite(command.tau).all()
+    played.robot.advance(command)
     assert played.robot.fallen
 
 

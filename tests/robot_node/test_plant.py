@@ -18,7 +18,7 @@ from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import solve
 from shared.wbc.qp import DaqpSolver
-from shared.wbc.stack import Stack
+from shared.wbc.stack import make_stacks
 from shared.wbc.torque import recover_torque
 from tests.states import random_state, random_states
 
@@ -43,7 +43,7 @@ def reference(robot):
 
 @pytest.fixture(scope="module")
 def stacks(robot, config):
-    return {mode: Stack(robot, config.wbc, mode) for mode in ContactMode}
+    return make_stacks(robot, config.wbc)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,59 @@
+"""Drives a robot node through its ticks: live, in lockstep and in tests alike.
+
+`begin` is the first phase of Eq. (7), `end` the second, d* later: whoever drives decides when each
+is due, and what has arrived in between.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from robot_node.controllers import Command
+from robot_node.node import RobotNode
+
+
+class Tick:
+    """The tick of one robot, again and again. `next_row` gives the row of each; none without it."""
+
+    def __init__(self, node: RobotNode, next_row: Callable[[], np.ndarray] | None = None) -> None:
+        self._node = node
+        self._next_row = next_row
+        self._cost_ns = 0
+
+    def begin(self, now_ns: int) -> bytes:
+        """Sense; the state message to send."""
+        began_ns = time.perf_counter_ns()
+        message = self._node.measure(now_ns)
+        self._cost_ns = time.perf_counter_ns() - began_ns
+        return message
+
+    def end(
+        self,
+        now_ns: int,
+        arrived: Iterable[bytes],
+        *,
+        late_ns: int = 0,
+        overruns: int = 0,
+        sending_ns: int = 0,
+    ) -> tuple[Command, bool]:
+        """Take in what has arrived, command, record, move; the command, and whether an answer was
+        taken. `late_ns` and `overruns` are those of the driver's schedule, `sending_ns` is what
+        sending the state took.
+        """
+        node = self._node
+        began_ns = time.perf_counter_ns()
+        taken = [node.receive(data) for data in arrived]
+        command = node.command(now_ns)
+        self._cost_ns += time.perf_counter_ns() - began_ns
+        row = None
+        if self._next_row is not None:
+            row = self._next_row()
+            columns = node.schema.slices
+            row[columns["tick_ns"]] = self._cost_ns + sending_ns
+            row[columns["late_ns"]] = late_ns
+            row[columns["overruns"]] = overruns
+        node.advance(command, row)
+        return command, any(taken)
