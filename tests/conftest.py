@@ -24,6 +24,7 @@ from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.stack import Stack, make_stacks
+from tests.late import add_option, be_late
 from tests.states import State, random_states
 
 # The same examples in every run, however slow the machine is at that moment.
@@ -31,6 +32,14 @@ settings.register_profile(
     "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("repeatable")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    add_option(parser)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    be_late(config)
 
 
 @pytest.fixture(scope="session")

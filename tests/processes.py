@@ -1,0 +1,172 @@
+"""Processes that tests start, and waiting for what they do: for events, never for seconds.
+
+Every wait has a bound, which is there so that a hang ends, and generous: no test passes or fails by
+how fast the machine is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from deploy.namespaces import Machine
+
+ROOT = Path(__file__).resolve().parents[1]
+# Nothing is given up sooner.
+PATIENCE_SECONDS = 120.0
+# A stack loads five processes, on a machine that does more beside it now than when it was measured.
+_LOADS = 20
+_Found = TypeVar("_Found")
+
+
+def python_command(*arguments: str) -> list[str]:
+    """The command line of a Python process of this project: `-m MODULE …` or `-c CODE …`."""
+    return [sys.executable, *arguments]
+
+
+@functools.cache
+def patience_seconds() -> float:
+    """How long to wait in all for what may never happen; measured by loading the robot once.
+
+    Asked for only by who has waited for PATIENCE_SECONDS: on most machines nobody does.
+    """
+    command = python_command("-m", "robot_node", "--help")
+    began = time.monotonic()
+    subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=True, timeout=1200.0)
+    return max(PATIENCE_SECONDS, _LOADS * (time.monotonic() - began))
+
+
+def until(happened: Callable[[], _Found], told: Callable[[], str] | str) -> _Found:
+    """What `happened()` returns as soon as that is true; else fails with what `told` tells."""
+    began = time.monotonic()
+    while not (found := happened()):
+        waited = time.monotonic() - began
+        if waited > PATIENCE_SECONDS and waited > patience_seconds():
+            reason = told if isinstance(told, str) else told()
+            raise AssertionError(f"in vain for {waited:.0f} s: {reason}")
+        time.sleep(0.01)
+    return found
+
+
+def ended(process: subprocess.Popen[str] | subprocess.Popen[bytes]) -> int:
+    """Exit code of a process that is about to end."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        return process.wait(PATIENCE_SECONDS)
+    return process.wait(max(0.0, patience_seconds() - PATIENCE_SECONDS))
+
+
+def played(
+    *command: str, given: str = "", env: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end: its exit code and what it has said."""
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, cwd=ROOT, env=env, stdin=pipe, stdout=pipe, stderr=pipe, text=True
+    ) as process:
+        try:
+            said = _communicated(process, given)
+        except BaseException:
+            process.kill()
+            raise
+    return subprocess.CompletedProcess(command, process.returncode, *said)
+
+
+def _communicated(process: subprocess.Popen[str], given: str) -> tuple[str, str]:
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        return process.communicate(given, timeout=PATIENCE_SECONDS)
+    return process.communicate(timeout=max(0.0, patience_seconds() - PATIENCE_SECONDS))
+
+
+class Process:
+    """`python -m …` with its output collected line by line; on another `machine` if one is given.
+
+    It is to end with `end()`, by its own pid.
+    """
+
+    def __init__(
+        self, *arguments: str, machine: Machine | None = None, env: dict[str, str] | None = None
+    ) -> None:
+        command = python_command("-m", *arguments)
+        self.popen = subprocess.Popen(
+            command if machine is None else machine.command(*command),
+            cwd=ROOT,
+            env=env,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        self.lines: list[str] = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.popen.stdout is not None
+        for line in self.popen.stdout:
+            self.lines.append(line.rstrip("\n"))
+
+    @property
+    def output(self) -> str:
+        return "\n".join(self.lines)
+
+    def wait_for(self, text: str, *, times: int = 1) -> str:
+        """The first line that contains `text`; or the second, the third …"""
+
+        def said() -> str | None:
+            # Asked first: what it said before it ended is still read.
+            over = not self._reader.is_alive()
+            lines = [line for line in list(self.lines) if text in line]
+            assert len(lines) >= times or not over, f"ended without {text!r}:\n{self.output}"
+            return lines[times - 1] if len(lines) >= times else None
+
+        line = until(said, lambda: f"no line with {text!r}; output so far:\n{self.output}")
+        assert line is not None
+        return line
+
+    def wait(self) -> int:
+        """Exit code; all of its output is there."""
+        try:
+            code = ended(self.popen)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"does not end; output so far:\n{self.output}") from None
+        self._reader.join(timeout=PATIENCE_SECONDS)
+        return code
+
+    def signal(self, number: int) -> None:
+        if self.popen.poll() is None:
+            os.kill(self.popen.pid, number)
+
+    def end(self) -> None:
+        """Terminate, then kill, whatever is left of this process."""
+        self.signal(signal.SIGTERM)
+        try:
+            self.popen.wait(timeout=PATIENCE_SECONDS)
+        except subprocess.TimeoutExpired:
+            self.signal(signal.SIGKILL)
+            self.popen.wait(timeout=PATIENCE_SECONDS)
+        self._reader.join(timeout=PATIENCE_SECONDS)
+        assert self.popen.stdout is not None
+        self.popen.stdout.close()
+
+
+def descendants_naming(text: str) -> list[int]:
+    """Pids of processes whose command line contains `text`."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            command = path.read_bytes().replace(b"\0", b" ").decode(errors="replace")
+        except OSError:
+            continue
+        if text in command:
+            found.append(int(path.parent.name))
+    return found

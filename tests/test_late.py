@@ -1,0 +1,50 @@
+"""Processes that start late, as `--late` has them, are what they would be otherwise."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.late import stand_in
+from tests.processes import python_command
+
+LATE_SECONDS = 0.3
+# Says how it was started, and how long that takes a process of its own.
+SAYS = """
+import os, subprocess, sys, time
+began = time.monotonic()
+subprocess.run([sys.executable, "-c", "pass"], check=True)
+print(os.getpid(), __name__, sys.argv[1:], time.monotonic() - began)
+raise SystemExit(5)
+"""
+
+
+@pytest.fixture
+def late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", str(stand_in(tmp_path, seconds=LATE_SECONDS)))
+
+
+def test_a_module_and_what_it_starts_are_late_and_else_the_same(late: None, tmp_path: Path) -> None:
+    (tmp_path / "says.py").write_text(SAYS)
+    began = time.monotonic()
+    with subprocess.Popen(
+        python_command("-m", "says", "-m", "x y"), cwd=tmp_path, stdout=subprocess.PIPE, text=True
+    ) as process:
+        said, _ = process.communicate()
+    assert time.monotonic() - began > 2 * LATE_SECONDS
+    told, _, childs = said.rpartition(" ")
+    assert told == f"{process.pid} __main__ ['-m', 'x y']"
+    assert float(childs) > LATE_SECONDS
+    assert process.returncode == 5
+
+
+def test_code_is_late_and_else_the_same(late: None) -> None:
+    began = time.monotonic()
+    code = "import sys; print(sys.argv)"
+    said = subprocess.check_output(python_command("-c", code, "-m", "x"), text=True)
+    assert time.monotonic() - began > LATE_SECONDS
+    assert said == "['-c', '-m', 'x']\n"
