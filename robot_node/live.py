@@ -22,6 +22,8 @@ from shared.telemetry import RowLog
 
 # An answer older than this is worth a word: no healthy link is that slow.
 STALE_NS = 250_000_000
+# What one on the link overtook is refused as a matter of course.
+_OVERTAKEN = "stale"
 
 
 @dataclass
@@ -66,6 +68,11 @@ class LiveLoop:
         self._clock = MonotonicClock()
         self._arrived_ns = 0
         self._round_trip_ns = 0
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Messages refused so far, by reason."""
+        return dict(self._node.cache.refused)
 
     def receive(self, delivery: Delivery) -> None:
         """Take in a message from the edge; called on the bus's thread."""
@@ -117,7 +124,7 @@ class LiveLoop:
     def _check_timeout(self, waited_ns: int) -> None:
         if waited_ns <= self._config.connect_timeout * 1e9:
             return
-        refused = dict(self._node.cache.refused)
+        refused = self.refused
         reason = (
             f"{self._inbox.counter.received} messages came, refused: {refused}; start both ends "
             "from the same version and the same --config"
@@ -150,6 +157,7 @@ class Narrator:
 
     def _watch(self) -> None:
         running, stale_since, holding, stopping = False, 0.0, False, False
+        told = {_OVERTAKEN}
         while not self._done.wait(self._PERIOD_SECONDS):
             progress = self._loop.progress
             if not progress.running:
@@ -173,3 +181,9 @@ class Narrator:
             if progress.source is Source.STOPPING and not stopping:
                 stopping = True
                 self._say(f"{at}: corrections are doubtful: ending the walk")
+            for reason in self._loop.refused.keys() - told:
+                told.add(reason)
+                self._say(
+                    f"{at}: refuses messages on its key ({reason}): see docs/wire.md; counted in "
+                    "the report at the end"
+                )
