@@ -11,14 +11,17 @@ import importlib.metadata
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-import trimesh
 
 from shared.errors import UserError
 from shared.robots import Robot
 from shared.robots.description import robots_folder
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,9 @@ def _converted(shape: pin.GeometryObject, cached: Path) -> bytes:
 
 def to_glb(shape: pin.GeometryObject) -> bytes:
     """A visual shape of Pinocchio's geometry as binary glTF."""
+    # Imported here: it takes as long as the rest, and what is in the cache has no need of it.
+    import trimesh
+
     plain = _plain_shape(shape.geometry)
     scene = trimesh.Scene(plain) if plain is not None else trimesh.load_scene(shape.meshPath)
     colour = (np.clip(shape.meshColor, 0.0, 1.0) * 255).astype(np.uint8)
@@ -91,6 +97,8 @@ def to_glb(shape: pin.GeometryObject) -> bytes:
 
 def _plain_shape(geometry: pin.coal.CollisionGeometry) -> trimesh.Trimesh | None:
     """A box, sphere, cylinder or capsule as a mesh; None if the geometry comes from a file."""
+    import trimesh
+
     if isinstance(geometry, pin.coal.Box):
         return trimesh.creation.box(extents=2.0 * geometry.halfSide)
     if isinstance(geometry, pin.coal.Sphere):
