@@ -1,7 +1,8 @@
 """One service of `services.toml` as the main process of a container: see `compose.yaml`.
 
-`python -m deploy.container SERVICE [its arguments]`. The file `/tmp/ready` is there once the
-service is ready. What becomes of it when it ends is up to Docker.
+`python -m deploy.container SERVICE [its arguments]`. The file `/tmp/ready`, or another that
+--ready-file names, is there once the service is ready. What becomes of it when it ends is up to
+Docker.
 """
 
 from __future__ import annotations
@@ -28,15 +29,18 @@ READY_FILE = Path("/tmp/ready")
 def main() -> int:
     services = load_services()
     parser = Parser(prog="deploy.container", description=__doc__)
+    parser.add_argument(
+        "--ready-file", metavar="FILE", type=Path, default=READY_FILE, help="(default %(default)s)"
+    )
     parser.add_argument("service", choices=services)
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help="of the service")
     arguments = parser.parse_args()
     service = services[arguments.service]
-    READY_FILE.unlink(missing_ok=True)
-    return asyncio.run(_serve(service, arguments.arguments))
+    arguments.ready_file.unlink(missing_ok=True)
+    return asyncio.run(_serve(service, arguments.arguments, arguments.ready_file))
 
 
-async def _serve(service: Service, arguments: list[str]) -> int:
+async def _serve(service: Service, arguments: list[str], ready_file: Path) -> int:
     """Until the service or a signal ends it; the exit code of the service."""
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -50,7 +54,8 @@ async def _serve(service: Service, arguments: list[str]) -> int:
         )
         alone = dataclasses.replace(service, restart="no", end=FAILURE)
         command = tuple(python("-m", *service.command, *arguments))
-        running = asyncio.create_task(_play(supervisor, Launch(alone, command, float("inf"))))
+        launch = Launch(alone, command, float("inf"))
+        running = asyncio.create_task(_play(supervisor, launch, ready_file))
         stopping = asyncio.create_task(stop.wait())
         try:
             await asyncio.wait({running, stopping}, return_when=asyncio.FIRST_COMPLETED)
@@ -64,9 +69,9 @@ async def _serve(service: Service, arguments: list[str]) -> int:
         return _code(next((code for code in codes if code is not None), 0))
 
 
-async def _play(supervisor: Supervisor, launch: Launch) -> int:
+async def _play(supervisor: Supervisor, launch: Launch, ready_file: Path) -> int:
     await supervisor.start(launch)
-    READY_FILE.touch()
+    ready_file.touch()
     _, code = await supervisor.wait()
     return _code(code)
 
