@@ -8,8 +8,6 @@ import re
 import signal
 import socket
 import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,7 +15,7 @@ import pytest
 
 from deploy.registry import ROOT as STACKS
 from deploy.state import StackFolder
-from tests.live.conftest import ROOT, Process, descendants_naming
+from tests.processes import ROOT, Process, descendants_naming, played, python_command, until
 
 pytestmark = pytest.mark.live
 
@@ -38,24 +36,11 @@ def left_behind() -> Iterator[None]:
 
 def told(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """What a command of `deploy/` says, and its exit code."""
-    return subprocess.run(
-        [str(ROOT / "deploy" / command), *arguments, "--name", NAME],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=180.0,
-    )
+    return played(str(ROOT / "deploy" / command), *arguments, "--name", NAME)
 
 
 def up(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "deploy.up", "-d", "--name", NAME, *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=180.0,
-    )
+    return played(*python_command("-m", "deploy.up", "-d", "--name", NAME, *arguments))
 
 
 def ports_of(run: Path) -> list[int]:
@@ -66,11 +51,15 @@ def ports_of(run: Path) -> list[int]:
     return ports
 
 
+def until_nobody_names(run: Path) -> None:
+    until(
+        lambda: not descendants_naming(str(run)),
+        lambda: f"processes {descendants_naming(str(run))} are left of {run}",
+    )
+
+
 def assert_nothing_is_left(run: Path, ports: list[int]) -> None:
-    deadline = time.monotonic() + 60.0
-    while descendants_naming(str(run)) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert descendants_naming(str(run)) == []
+    until_nobody_names(run)
     assert not StackFolder(run).alive
     assert not (run / "stack/control").is_socket()
     for port in ports:
@@ -106,11 +95,11 @@ def test_a_stack_in_the_background_from_its_start_to_its_end(start: Start, tmp_p
     assert len(second.stderr.splitlines()) == 1
 
     following = start("deploy.control", "logs", "-f", "robot", "--run", str(run))
-    following.wait_for("the task begins", seconds=60.0)
+    following.wait_for("the task begins")
     again = told("restart", "edge")
     assert again.returncode == 0, again.stderr
     # The robot has stood on what it had, and gets new answers.
-    following.wait_for("new answers again", seconds=60.0)
+    following.wait_for("new answers again")
     assert told("ps").stdout.splitlines()[2].split()[-1] == "1"
     refused = told("restart", "robot")
     assert refused.returncode == 2
@@ -138,7 +127,7 @@ def test_a_stack_whose_robot_falls_ends_by_itself_and_says_so_later(
     started = up(*flags, "--out", str(run))
     assert started.returncode == 0, started.stdout + started.stderr
     following = start("deploy.control", "logs", "-f", "--run", str(run))
-    assert following.wait(seconds=120.0) == 0
+    assert following.wait() == 0
     assert "FELL after" in following.output
     assert " robot | pushed with 100 N to +y" in following.output
     shown = told("ps")
@@ -163,9 +152,7 @@ def test_a_busy_port_is_one_line_and_a_killed_supervisor_leaves_no_orphan(
     assert not (tmp_path / "second").exists()
 
     os.kill(StackFolder(run).read().pid, signal.SIGKILL)
-    deadline = time.monotonic() + 60.0
-    while descendants_naming(str(run)) and time.monotonic() < deadline:
-        time.sleep(0.1)
+    until_nobody_names(run)
     assert "its supervisor was killed" in told("ps").stdout
     assert told("down").returncode == 2
     (run / "stack/control").unlink()

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.live.conftest import Process, descendants_naming
+from tests.processes import Process, descendants_naming, until
+from tests.telemetry_hub import TelemetryHub
 
 pytestmark = pytest.mark.live
 
@@ -48,13 +49,17 @@ def test_an_edge_alone_serves_robot_after_robot_until_it_is_told_to_end(
 def test_settings_that_differ_are_named_at_both_ends(
     start: Start, endpoints: list[str], tmp_path: Path
 ) -> None:
-    config = tmp_path / "stiff.toml"
-    config.write_text("[wbc.gains]\nposture = 11.0\n[loop]\nconnect_timeout = 2.0\n")
     edge = start("edge_node", "--listen", endpoints[0])
     edge.wait_for("READY")
-    robot = start("robot_node", "--connect", endpoints[0], "--config", str(config))
-    assert robot.wait() == 2
-    assert "no projector from the edge within 2 s" in robot.output
+    # Longer where the robot has to give up before any of its states has come to the edge.
+    for seconds in (2, 10, 50):
+        config = tmp_path / f"stiff-{seconds}.toml"
+        config.write_text(f"[wbc.gains]\nposture = 11.0\n[loop]\nconnect_timeout = {seconds}.0\n")
+        robot = start("robot_node", "--connect", endpoints[0], "--config", str(config))
+        assert robot.wait() == 2
+        if "refuses a robot's states" in edge.output:
+            break
+    assert f"no projector from the edge within {seconds} s" in robot.output
     assert endpoints[0] in robot.lines[-1]
     assert "task, robot, wbc and walk settings" in robot.lines[-1]
     assert "refuses a robot's states (config)" in edge.output
@@ -77,7 +82,7 @@ def test_robot_and_edge_meet_at_a_router_that_comes_back_after_it_was_gone(
     edge.wait_for("READY")
     robot = start(
         *("robot_node", "--connect", endpoints[0], "--name", "amy"),
-        *("--controller", "lc", "--duration", "15", "--push", "none"),
+        *("--controller", "lc", "--duration", "3600", "--push", "none"),
     )
     robot.wait_for("the task begins")
     first.signal(signal.SIGTERM)
@@ -85,11 +90,13 @@ def test_robot_and_edge_meet_at_a_router_that_comes_back_after_it_was_gone(
     robot.wait_for("no answer for")
     router(2)
     robot.wait_for("new answers again")
-    assert robot.wait() == 0, robot.output
+    robot.signal(signal.SIGINT)
+    assert robot.wait() == 130, robot.output
+    assert robot.lines[-1].startswith("stands after"), robot.output
 
 
 def test_robots_of_one_kind_with_names_of_their_own_do_not_hear_each_other(
-    start: Start, endpoints: list[str], tmp_path: Path
+    start: Start, hub: Callable[[], TelemetryHub], endpoints: list[str], tmp_path: Path
 ) -> None:
     start("deploy.router", "--listen", endpoints[0]).wait_for("READY")
     robots = []
@@ -97,10 +104,24 @@ def test_robots_of_one_kind_with_names_of_their_own_do_not_hear_each_other(
         start("edge_node", "--connect", endpoints[0], "--name", name).wait_for("READY")
     for name in ("amy", "ben"):
         flags = ("--connect", endpoints[0], "--name", name, "--out", str(tmp_path / name))
-        flags = (*flags, "--controller", "lc", "--duration", "2", "--push", "none")
-        robots.append((name, start("robot_node", *flags)))
-    for name, robot in robots:
-        assert robot.wait() == 0, robot.output
+        flags = (*flags, "--controller", "lc", "--duration", "3600", "--push", "none")
+        watched = hub()
+        robots.append((name, start("robot_node", *flags, "--telemetry", watched.endpoint), watched))
+    for _, robot, _ in robots:
+        robot.wait_for("the task begins")
+    # A second of both at the same time.
+    until_ns = [watched.last("time_ns") + 1e9 for _, _, watched in robots]
+    until(
+        lambda: all(
+            watched.last("time_ns") > end_ns
+            for (_, _, watched), end_ns in zip(robots, until_ns, strict=True)
+        ),
+        lambda: "\n".join(robot.output for _, robot, _ in robots),
+    )
+    for name, robot, _ in robots:
+        robot.signal(signal.SIGINT)
+        assert robot.wait() == 130, robot.output
+        assert robot.lines[-1].startswith("stands after"), robot.output
         report = json.loads((tmp_path / name / "telemetry.json").read_text())
         # An answer to the other robot would be refused under `session`.
         assert report["link"]["downlink"]["refused"] == {}

@@ -6,7 +6,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +15,7 @@ import pytest
 from deploy.namespaces import Machine
 from netem.tun import EDGE_ADDRESS, ROBOT_ADDRESS, NamespacePair, namespaces
 from shared.errors import LinkError
-from tests.live.conftest import Process
+from tests.processes import Process, played, python_command
 
 pytestmark = pytest.mark.live
 
@@ -63,7 +62,7 @@ def _permitted() -> None:
 @contextmanager
 def echo_server() -> Iterator[None]:
     """Sends back every datagram, at the edge's end."""
-    command = EDGE.command(sys.executable, "-c", ECHO)
+    command = EDGE.command(*python_command("-c", ECHO))
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None
     try:
@@ -78,8 +77,9 @@ def echo_server() -> Iterator[None]:
 def round_trips_ns(*, size: int, count: int, patience: int = 30) -> list[int]:
     """Of datagrams from the robot's end; −1 for one that did not come back in `patience` [s]."""
     words = (EDGE.address, str(size), str(count), str(patience))
-    command = ROBOT.command(sys.executable, "-c", PING, *words)
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120.0, check=True)
+    command = ROBOT.command(*python_command("-c", PING, *words))
+    done = played(*command)
+    assert done.returncode == 0, done.stderr
     return [int(line) for line in done.stdout.split()]
 
 
@@ -127,7 +127,7 @@ def test_the_stack_balances_over_packets(start: Start, tmp_path: Path) -> None:
         *("--duration", "2", "--out", str(tmp_path)),
         machine=ROBOT,
     )
-    assert robot.wait(seconds=120.0) == 0, robot.output
+    assert robot.wait() == 0, robot.output
     robot.wait_for("stands after 2.00 s")
 
 

@@ -13,7 +13,7 @@ import pytest
 from deploy.keys import make
 from deploy.namespaces import Machines, two_machines
 from shared.errors import UserError
-from tests.live.conftest import Process, descendants_naming
+from tests.processes import Process, descendants_naming
 
 pytestmark = pytest.mark.live
 
@@ -54,7 +54,7 @@ def test_robot_stands_on_an_edge_behind_a_slow_cable(
         *("--controller", "lc", "--duration", "3", "--out", str(tmp_path / "robot")),
         machine=machines.robot,
     )
-    assert robot.wait(seconds=90.0) == 0, robot.output
+    assert robot.wait() == 0, robot.output
     edge.signal(signal.SIGTERM)
     assert edge.wait() == 0, edge.output
     summary = json.loads((tmp_path / "robot/summary.json").read_text())
