@@ -6,7 +6,6 @@ import argparse
 import dataclasses
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ from deploy import control
 from deploy.registry import Registry
 from deploy.state import ENDED, READY, ServiceState, StackFolder, StackState
 from shared.errors import ConfigError, LinkError
+from tests.processes import python_command
 
 # A stack that ends at a signal as one does: with a state that says so, then without its lock.
 STANDS_IN = """
@@ -58,7 +58,7 @@ def running(tmp_path: Path):
         changes = {"state": READY, "outcome": "", "exit_code": None, **changes}
         stack = written(tmp_path / name, **changes)
         process = subprocess.Popen(
-            [sys.executable, "-c", STANDS_IN, str(stack.run)], stdout=subprocess.PIPE
+            python_command("-c", STANDS_IN, str(stack.run)), stdout=subprocess.PIPE
         )
         started.append(process)
         assert process.stdout is not None

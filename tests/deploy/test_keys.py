@@ -3,8 +3,6 @@ from __future__ import annotations
 import ipaddress
 import os
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,6 +12,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from deploy.keys import make
 from shared.errors import ConfigError
+from tests.processes import played, python_command
 
 ROLES = ("edge", "netem", "router", "robot-romeo", "robot-amy")
 
@@ -135,12 +134,12 @@ def test_a_robots_name_that_would_be_more_than_one_key_is_refused(tmp_path: Path
 
 
 def test_the_command_says_what_belongs_where_and_what_must_stay(tmp_path: Path):
-    command = [sys.executable, "-m", "deploy.keys", str(tmp_path / "keys"), "--robot", "amy"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    command = python_command("-m", "deploy.keys", str(tmp_path / "keys"), "--robot", "amy")
+    done = played(*command)
     assert done.returncode == 0, done.stderr
     assert "robot-amy: copy ca.crt, robot-amy.crt, robot-amy.key" in done.stdout
     assert "ca.key off all of them" in done.stdout
     assert "--host" in done.stdout
-    again = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    again = played(*command)
     assert again.returncode == 2
     assert again.stderr.count("\n") == 1

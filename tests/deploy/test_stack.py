@@ -18,10 +18,11 @@ from deploy.stack import Run, Stack
 from deploy.state import ENDED, StackFolder
 from shared.config import RunConfig
 from shared.errors import ConfigError, LinkError
+from tests.processes import PATIENCE_SECONDS
 
 # Services as modules, since those of a plan are started as such.
 MODULES = {
-    "serves": "print('READY', flush=True); import time; time.sleep(60)",
+    "serves": "print('READY', flush=True); import time; time.sleep(3600)",
     "is_killed": "print('READY', flush=True); import os; os.kill(os.getpid(), 9)",
     "fails": "print('READY', flush=True); print('error: no answer', flush=True); exit(2)",
     "signals": "print('READY', flush=True); import os, time; os.kill(os.getppid(), {0}); "
@@ -50,7 +51,7 @@ def stack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def played(stack: Stack) -> int:
-    return asyncio.run(asyncio.wait_for(stack.run(), 60.0))
+    return asyncio.run(asyncio.wait_for(stack.run(), PATIENCE_SECONDS))
 
 
 @pytest.mark.parametrize(
@@ -72,7 +73,7 @@ def test_a_signal_ends_it_also_that_of_a_terminal_that_was_closed(tmp_path, stac
     # Whoever runs the tests may be under nohup, or a background job, which ignores interrupts.
     before = signal.signal(number, signal.SIG_DFL)
     try:
-        assert played(stack("signals", int(number), 60)) == 130
+        assert played(stack("signals", int(number), 3600)) == 130
     finally:
         signal.signal(number, before)
     folder = StackFolder(tmp_path / "run")

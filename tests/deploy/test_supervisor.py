@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import os
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,16 +13,18 @@ from deploy.services import load_services
 from deploy.state import ENDED, READY
 from deploy.supervisor import Launch, Supervisor
 from shared.errors import ConfigError, LinkError
+from tests.processes import PATIENCE_SECONDS, python_command
 
 FAILS = "print('READY', flush=True); raise SystemExit(4)"
 # Fails in its first life and serves in its second.
 FAILS_ONCE = (
     "import pathlib; p = pathlib.Path('{0}'); again = p.exists(); p.touch(); "
-    "print('READY', flush=True); __import__('time').sleep(60 if again else 0); raise SystemExit(4)"
+    "print('READY', flush=True); __import__('time').sleep(3600 if again else 0); "
+    "raise SystemExit(4)"
 )
-SLEEPS = "print('READY', flush=True); __import__('time').sleep(60)"
+SLEEPS = "print('READY', flush=True); __import__('time').sleep(3600)"
 # Never ready, and deaf to a termination signal.
-DEAF = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"
+DEAF = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(3600)"
 
 
 class Run:
@@ -39,9 +40,11 @@ class Run:
             before_restart=lambda service: self.restarted.append(service.name),
         )
 
-    async def start(self, name: str, code: str, *, ready_seconds: float = 60.0, **changes) -> None:
+    async def start(
+        self, name: str, code: str, *, ready_seconds: float = PATIENCE_SECONDS, **changes
+    ) -> None:
         service = dataclasses.replace(load_services()[name], **changes)
-        command = (sys.executable, "-c", code)
+        command = tuple(python_command("-c", code))
         await self.supervisor.start(Launch(service, command, ready_seconds))
 
     def state(self, name: str) -> str:
@@ -54,7 +57,7 @@ def played(folder: Path, scenario):
     async def play():
         run = Run(folder)
         try:
-            return await asyncio.wait_for(scenario(run), 60.0)
+            return await asyncio.wait_for(scenario(run), PATIENCE_SECONDS)
         finally:
             await run.supervisor.stop()
             for each in run.supervisor.states():

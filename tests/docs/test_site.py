@@ -5,15 +5,12 @@ from __future__ import annotations
 import os
 import re
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 from pymdownx.superfences import SuperFencesException
 
 from deploy.site_hooks import mathml
-
-ROOT = Path(__file__).parents[2]
+from tests.processes import ROOT, python_command
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +19,7 @@ def site(tmp_path_factory):
     out = tmp_path_factory.mktemp("site")
     nobody = dict.fromkeys(("http_proxy", "https_proxy", "all_proxy"), "http://127.0.0.1:9")
     built = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(out)],
+        python_command("-m", "mkdocs", "build", "--strict", "--site-dir", str(out)),
         cwd=ROOT,
         env={**os.environ, **nobody},
         capture_output=True,

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 
 import pytest
 
 from experiments.study import read_study
 from experiments.sweep import sweep
-from shared.entry import python
 from shared.errors import ConfigError
+from tests.processes import python_command, until
 
 STUDY = """
 seeds = 2
@@ -30,15 +29,15 @@ resolution = 50
 """
 
 
-def started(process, log, line, *, within=60.0):
+def started(process, log, line):
     """Wait for a line in the log of a process; its last word."""
-    deadline = time.monotonic() + within
-    while time.monotonic() < deadline and process.poll() is None:
-        for said in log.read_text().splitlines():
-            if line in said:
-                return said.split()[-1]
-        time.sleep(0.05)
-    raise AssertionError(f"{process.args} did not say {line!r}: {log.read_text()}")
+
+    def word():
+        assert process.poll() is None, f"{process.args} ended: {log.read_text()}"
+        lines = log.read_text().splitlines(keepends=True)
+        return next((said.split()[-1] for said in lines if line in said and said[-1] == "\n"), None)
+
+    return until(word, lambda: f"{process.args} did not say {line!r}: {log.read_text()}")
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +52,7 @@ def cluster(tmp_path_factory):
         here = ["--host", "127.0.0.1", "--no-dashboard"]
         with log.open("w") as file:
             process = subprocess.Popen(
-                python("-m", "dask", *arguments, *here),
+                python_command("-m", "dask", *arguments, *here),
                 cwd=folder,
                 stdout=file,
                 stderr=subprocess.STDOUT,
@@ -69,7 +68,7 @@ def cluster(tmp_path_factory):
     finally:
         for process in reversed(processes):
             process.kill()
-            process.wait(timeout=20)
+            process.wait()
 
 
 @pytest.fixture

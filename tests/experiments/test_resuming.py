@@ -8,8 +8,6 @@ import os
 import random
 import signal
 import subprocess
-import sys
-import time
 
 import pytest
 
@@ -18,6 +16,7 @@ from experiments.study import read_study
 from experiments.sweep import sweep
 from experiments.trial_table import read_trials
 from shared.errors import ConfigError
+from tests.processes import ended, python_command, until
 
 BISECT = """
 seeds = 3
@@ -181,21 +180,26 @@ def test_real_trials_are_bisected(uninterrupted):
 def test_a_bisection_killed_in_the_middle_goes_on_to_the_same_table(tmp_path, uninterrupted, how):
     path, out = tmp_path / "played.toml", tmp_path / "out"
     path.write_text(PLAYED)
-    command = [sys.executable, "-m", "experiments", "sweep", path, "--out", out, "--workers", "1"]
+    sweeps = ("experiments", "sweep", str(path), "--out", str(out), "--workers", "1")
     # A shell's background jobs ignore Ctrl-C; so may whoever runs the tests.
     restore = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
     process = subprocess.Popen(
-        command, stderr=subprocess.DEVNULL, preexec_fn=restore, start_new_session=True
+        python_command("-m", *sweeps),
+        stderr=subprocess.DEVNULL,
+        preexec_fn=restore,
+        start_new_session=True,
     )
     journal = out / "trials.jsonl"
     try:
-        while process.poll() is None and not (journal.is_file() and journal.stat().st_size):
-            time.sleep(0.01)
+        until(
+            lambda: process.poll() is not None or (journal.is_file() and journal.stat().st_size),
+            "no trial is finished",
+        )
         os.kill(process.pid, how)
-        process.wait(timeout=20)
+        code = ended(process)
     finally:
         process.kill()
-    assert process.returncode == (-how if how == signal.SIGKILL else 130)
+    assert code == (-how if how == signal.SIGKILL else 130)
     kept = journal.read_bytes().splitlines(keepends=True)
     assert 1 <= len(kept) < len(uninterrupted)
     assert not (out / "trials.parquet").exists()

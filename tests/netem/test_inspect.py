@@ -1,20 +1,14 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
 
+from tests.processes import played, python_command
+
 
 def netem(*arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "netem", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    return played(*python_command("-m", "netem", *arguments))
 
 
 def test_a_list_has_a_line_per_profile():

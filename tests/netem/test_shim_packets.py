@@ -19,6 +19,7 @@ from netem.packet_pump import Lateness, Way, pump, wait_for_packet
 from netem.profile import DOWNLINK, UPLINK
 from shared.config import LinkConfig
 from shared.errors import LinkError
+from tests.processes import PATIENCE_SECONDS, until
 
 MS = 1_000_000
 ROOM = 1 << 20
@@ -34,7 +35,7 @@ class Ends:
         for tun in self._tuns:
             tun.setblocking(False)
         for end in self.ends:
-            end.settimeout(10.0)
+            end.settimeout(PATIENCE_SECONDS)
         config = replace(LinkConfig(), loss=loss)
         profile = load_network(network)
         lines = make_lines(profile, config, seed=0, start_ns=time.monotonic_ns())
@@ -91,9 +92,10 @@ def test_packets_pass_whole_in_order_and_not_before_their_delay(
 
 def test_a_packet_that_finds_no_room_is_dropped_and_those_that_wait_are_kept() -> None:
     link = Ends("constant:200ms/200ms", queue_bytes=3_500)
+    # All at once, however long the pump takes.
+    for k in range(5):
+        link.ends[0].send(bytes([k]) * 1_000)
     with link.pumping():
-        for k in range(5):
-            link.ends[0].send(bytes([k]) * 1_000)
         arrived = [link.ends[1].recv(2000)[0] for _ in range(3)]
         # There is room again once they have left.
         link.ends[0].send(bytes([9]) * 1_000)
@@ -107,9 +109,7 @@ def test_lost_packets_take_no_room() -> None:
     with link.pumping():
         for _ in range(20):
             link.ends[0].send(bytes(1_000))
-        deadline = time.monotonic() + 10.0
-        while link.ways[UPLINK].packets < 20 and time.monotonic() < deadline:
-            time.sleep(0.001)
+        until(lambda: link.ways[UPLINK].packets >= 20, lambda: f"{link.ways[UPLINK].packets}")
     assert link.ways[UPLINK].line.lost == 20
     assert link.ways[UPLINK].full == 0
 
@@ -119,9 +119,7 @@ def test_an_end_that_takes_nothing_loses_packets_and_nothing_else() -> None:
     link.ends[1].close()
     with link.pumping():
         link.ends[0].send(b"to nobody")
-        deadline = time.monotonic() + 10.0
-        while not link.ways[UPLINK].refused and time.monotonic() < deadline:
-            time.sleep(0.001)
+        until(lambda: link.ways[UPLINK].refused, "nothing was refused")
     assert link.ways[UPLINK].refused == 1
 
 

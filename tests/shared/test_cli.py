@@ -3,7 +3,6 @@ from __future__ import annotations
 import math
 import os
 import subprocess
-import sys
 
 import pytest
 
@@ -19,6 +18,7 @@ from shared.cli import (
 )
 from shared.config import RunConfig
 from shared.errors import ConfigError, LinkError, MessageRefused, ProfileError, UserError
+from tests.processes import PATIENCE_SECONDS, python_command
 
 
 @pytest.fixture
@@ -164,12 +164,12 @@ def test_a_reader_that_left_is_no_traceback():
     reader, writer = os.pipe()
     os.close(reader)
     finished = subprocess.run(
-        [sys.executable, "-c", script],
+        python_command("-c", script),
         stdout=writer,
         stderr=subprocess.PIPE,
         text=True,
         check=False,
-        timeout=60,
+        timeout=PATIENCE_SECONDS,
     )
     os.close(writer)
     assert finished.stderr == ""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from shared.config_file import dump_config
 from shared.errors import UserError
 from shared.robots import Robot
 from shared.telemetry import write_parquet
+from tests.processes import played, python_command
 from tests.viewer.reading import entities, static
 from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
 from viewer.meshes import load_meshes
@@ -125,13 +124,7 @@ def test_a_spoilt_run_is_refused_in_one_line_and_leaves_no_recording(
 
 
 def test_the_command_line_prints_one_line_and_exits_with_two(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "viewer", "record", str(tmp_path / "nothing")],
-        capture_output=True,
-        text=True,
-        timeout=60.0,
-        cwd=Path(__file__).parents[2],
-    )
+    done = played(*python_command("-m", "viewer", "record", str(tmp_path / "nothing")))
     assert done.returncode == 2
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,14 +15,13 @@ from shared.config_file import dump_config
 from shared.errors import UserError
 from shared.robots import Robot
 from shared.telemetry import write_parquet
+from tests.processes import played, python_command
 from tests.viewer.reading import entities
 from tests.viewer.synthetic import tick_rows
 from viewer.recording import save
 from viewer.run_folder import read_run
 from viewer.show import show
 from viewer.snapshot import animation, picture
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(autouse=True)
@@ -80,13 +77,7 @@ def test_a_run_beside_itself_is_refused(runs: dict[str, Path]) -> None:
 @pytest.mark.parametrize("command", ["open", "compare", "snapshot"])
 def test_a_wrong_folder_is_refused_in_one_line(command: str, tmp_path: Path) -> None:
     extra = ["--out", str(tmp_path / "x.png")] if command == "snapshot" else []
-    done = subprocess.run(
-        [sys.executable, "-m", "viewer", command, str(tmp_path), *extra],
-        capture_output=True,
-        text=True,
-        timeout=60.0,
-        cwd=ROOT,
-    )
+    done = played(*python_command("-m", "viewer", command, str(tmp_path), *extra))
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert "found no config.toml and no telemetry.parquet" in done.stderr

@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -13,6 +10,7 @@ from netem.profile import DOWNLINK, UPLINK
 from netem.profile_file import read_profile
 from shared.errors import ProfileError
 from tests.netem.importers.conftest import run
+from tests.processes import played, python_command
 
 
 @pytest.mark.parametrize(
@@ -136,12 +134,12 @@ def test_a_profile_of_another_name_or_that_cannot_be_written_is_refused(tmp_path
 
 def test_the_command_itself_converts_and_says_errors_in_one_line(tmp_path, sample):
     out = tmp_path / "out.npz"
-    command = [sys.executable, "-m", "netem", "convert"]
+    command = python_command("-m", "netem", "convert")
     files = [str(sample("ping_D_sample.txt")), str(out)]
-    done = subprocess.run([*command, *files], capture_output=True, text=True, check=False)
+    done = played(*command, *files)
     assert (done.returncode, done.stderr) == (0, "")
     assert read_profile(out).metadata["format"] == "ping"
-    done = subprocess.run([*command, str(out)], capture_output=True, text=True, check=False)
+    done = played(*command, str(out))
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1
