@@ -87,15 +87,14 @@ def _communicated(process: subprocess.Popen[str], given: str) -> tuple[str, str]
 
 
 class Process:
-    """`python -m …` with its output collected line by line; on another `machine` if one is given.
-
-    It is to end with `end()`, by its own pid.
+    """`python -m …`, or `python -c …`, with its output collected line by line; on another `machine`
+    if one is given. `end()` ends it, by its own pid.
     """
 
     def __init__(
         self, *arguments: str, machine: Machine | None = None, env: dict[str, str] | None = None
     ) -> None:
-        command = python_command("-m", *arguments)
+        command = python_command(*(() if arguments[0] == "-c" else ("-m",)), *arguments)
         self.popen = subprocess.Popen(
             command if machine is None else machine.command(*command),
             cwd=ROOT,

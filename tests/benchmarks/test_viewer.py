@@ -15,6 +15,7 @@ from benchmarks import viewer
 from benchmarks.viewer import CASES, Ticks, disturb, read_ticks
 from shared.errors import ConfigError
 from shared.telemetry import Column, Schema, write_parquet
+from tests.processes import ended, python_command, until
 
 SCHEMA = Schema(*(Column(name) for name in ("time_ns", "tick_ns", "late_ns", "overruns")))
 
@@ -49,7 +50,7 @@ def test_a_run_of_a_second_has_nothing_to_read(tmp_path: Path, waiting: int, tic
 
 
 def sleeper(seconds: float) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-c", f"import time; time.sleep({seconds})"]
+    command = python_command("-c", f"import time; time.sleep({seconds})")
     return subprocess.Popen(command, start_new_session=True)
 
 
@@ -64,13 +65,13 @@ def test_the_viewer_gets_its_signals_in_turn_while_the_run_lasts() -> None:
     try:
         began = time.monotonic()
         disturb(up, watching.pid, [(signal.SIGSTOP, 60.0)], seconds=0.1)
-        assert state_of(watching) == "T"
+        until(lambda: state_of(watching) == "T", "it is not stopped")
         disturb(up, watching.pid, [(signal.SIGSTOP, 0.01), (signal.SIGCONT, 60.0)], seconds=0.2)
-        assert state_of(watching) != "T"
+        until(lambda: state_of(watching) != "T", "it does not go on")
         up.kill()
         up.wait()
         disturb(up, watching.pid, [(signal.SIGKILL, 60.0)], seconds=60.0)
-        assert watching.wait(timeout=10.0) == -signal.SIGKILL
+        assert ended(watching) == -signal.SIGKILL
         disturb(up, watching.pid, [(signal.SIGSTOP, 60.0)], seconds=60.0)
         # With the run, or with its own time: not with those of the signals.
         assert time.monotonic() - began < 50.0
