@@ -6,7 +6,6 @@ how fast the machine is.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
 import signal
@@ -23,7 +22,7 @@ from deploy.namespaces import Machine
 ROOT = Path(__file__).resolve().parents[1]
 # Nothing is given up sooner.
 PATIENCE_SECONDS = 120.0
-# A stack loads five processes, on a machine that does more beside it now than when it was measured.
+# A stack loads five processes one after the other, and the machine may do more besides by then.
 _LOADS = 20
 _Found = TypeVar("_Found")
 
@@ -33,35 +32,62 @@ def python_command(*arguments: str) -> list[str]:
     return [sys.executable, *arguments]
 
 
-@functools.cache
-def patience_seconds() -> float:
-    """How long to wait in all for what may never happen; measured by loading the robot once.
-
-    Asked for only by who has waited for PATIENCE_SECONDS: on most machines nobody does.
+class Patience:
+    """Whether it is time to give up waiting: never before PATIENCE_SECONDS, and on a slow machine
+    not before a process could have been loaded some times.
     """
-    command = python_command("-m", "robot_node", "--help")
-    began = time.monotonic()
-    subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=True, timeout=1200.0)
-    return max(PATIENCE_SECONDS, _LOADS * (time.monotonic() - began))
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+
+    @property
+    def waited_seconds(self) -> float:
+        return time.monotonic() - self._began
+
+    @property
+    def exhausted(self) -> bool:
+        if self.waited_seconds < PATIENCE_SECONDS:
+            return False
+        load_seconds = _loading().seconds()
+        return load_seconds is not None and self.waited_seconds > _LOADS * load_seconds
+
+
+class _Loading:
+    """How long it takes to load the robot, measured once: when somebody first has to know."""
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+        self._seconds: float | None = None
+        command = python_command("-m", "robot_node", "--help")
+        self._process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
+
+    def seconds(self) -> float | None:
+        """None while it is being measured."""
+        if self._seconds is None and self._process.poll() is not None:
+            self._seconds = time.monotonic() - self._began
+        return self._seconds
+
+
+@functools.cache
+def _loading() -> _Loading:
+    return _Loading()
 
 
 def until(happened: Callable[[], _Found], told: Callable[[], str] | str) -> _Found:
     """What `happened()` returns as soon as that is true; else fails with what `told` tells."""
-    began = time.monotonic()
+    patience = Patience()
     while not (found := happened()):
-        waited = time.monotonic() - began
-        if waited > PATIENCE_SECONDS and waited > patience_seconds():
+        if patience.exhausted:
             reason = told if isinstance(told, str) else told()
-            raise AssertionError(f"in vain for {waited:.0f} s: {reason}")
+            raise AssertionError(f"in vain for {patience.waited_seconds:.0f} s: {reason}")
         time.sleep(0.01)
     return found
 
 
 def ended(process: subprocess.Popen[str] | subprocess.Popen[bytes]) -> int:
     """Exit code of a process that is about to end."""
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        return process.wait(PATIENCE_SECONDS)
-    return process.wait(max(0.0, patience_seconds() - PATIENCE_SECONDS))
+    until(lambda: process.poll() is not None, lambda: f"{process.args} does not end")
+    return process.returncode
 
 
 def played(
@@ -81,9 +107,15 @@ def played(
 
 
 def _communicated(process: subprocess.Popen[str], given: str) -> tuple[str, str]:
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        return process.communicate(given, timeout=PATIENCE_SECONDS)
-    return process.communicate(timeout=max(0.0, patience_seconds() - PATIENCE_SECONDS))
+    patience = Patience()
+    left: str | None = given
+    while True:
+        try:
+            return process.communicate(left, timeout=1.0)
+        except subprocess.TimeoutExpired:
+            left = None
+            if patience.exhausted:
+                raise
 
 
 class Process:
@@ -134,12 +166,12 @@ class Process:
 
     def wait(self) -> int:
         """Exit code; all of its output is there."""
-        try:
-            code = ended(self.popen)
-        except subprocess.TimeoutExpired:
-            raise AssertionError(f"does not end; output so far:\n{self.output}") from None
+        until(
+            lambda: self.popen.poll() is not None,
+            lambda: f"it does not end; output so far:\n{self.output}",
+        )
         self._reader.join(timeout=PATIENCE_SECONDS)
-        return code
+        return self.popen.returncode
 
     def signal(self, number: int) -> None:
         if self.popen.poll() is None:

@@ -25,7 +25,8 @@ Start = Callable[..., Process]
 MS = 1e6
 # What `replay` and a recorder on one machine may differ by at the median, per way.
 AGREEMENT_MS = 0.5
-ATTEMPTS = 3
+# Each only if those before did not agree.
+ATTEMPTS = 8
 # `netem record` that gives up sooner than it does.
 IMPATIENT = """
 from netem.__main__ import main

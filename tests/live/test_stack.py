@@ -43,6 +43,19 @@ SUMMARY_KEYS = {
 }
 
 
+# An edge that has loaded what it needs, and begins when there is a file: its first argument.
+LOADED_EDGE = """
+import pathlib, sys, time
+from edge_node.__main__ import main
+from shared.cli import run
+print("loaded", flush=True)
+begin = pathlib.Path(sys.argv.pop(1))
+while not begin.exists():
+    time.sleep(0.01)
+run(main)
+"""
+
+
 @pytest.mark.parametrize("robot", CATALOGUE)
 def test_up_balances_and_leaves_every_file(start: Start, tmp_path: Path, robot: str) -> None:
     out = tmp_path / "run"
@@ -189,6 +202,10 @@ def test_robot_balances_on_its_cache_while_the_edge_is_dead(
     )
     edge.wait_for("READY")
     shim.wait_for("READY")
+    # Minutes on held joints are more than the robot is made for, and loading may take them.
+    begin = tmp_path / "begin"
+    another = start("-c", LOADED_EDGE, str(begin), "--listen", endpoints[0])
+    another.wait_for("loaded")
     watched = hub()
     robot = start(
         *("robot_node", "--connect", endpoints[1], "--telemetry", watched.endpoint),
@@ -197,7 +214,7 @@ def test_robot_balances_on_its_cache_while_the_edge_is_dead(
     robot.wait_for("the task begins")
     edge.signal(signal.SIGKILL)
     robot.wait_for("going on with the cache")
-    edge = start("edge_node", "--listen", endpoints[0])
+    begin.touch()
     robot.wait_for("new answers again")
     until(
         lambda: 0 < watched.newest("projector_age_ns").max(initial=-1) < 250e6,
@@ -234,13 +251,19 @@ def test_bad_messages_on_the_robots_key_are_counted_and_have_no_effect(
         key = DOWNLINK.key_for(robot_model.name)
         stranger = rogue.publisher(key, wait_when_full=True)
         until(lambda: is_heard(stranger), "the rogue does not find the robot")
+        until(lambda: watched.last("refused") >= 0, "the robot publishes nothing")
+        refused = watched.last("refused")
         for _ in range(20):
             for data in (b"garbage", b"", bytes(50_000)):
                 stranger.forward(Delivery(data, envelope=None))
-        until(
-            lambda: watched.last("refused") >= 60,
-            lambda: f"{watched.last('refused'):.0f} of 60 refused:\n{robot.output}",
-        )
+            refused += 3
+            until(
+                lambda expected=refused: watched.last("refused") >= expected,
+                lambda: f"{watched.last('refused'):.0f} refused:\n{robot.output}",
+            )
+        # Should others have been refused meanwhile, the last of these may be on their way.
+        tick = watched.last("tick") + 200
+        until(lambda: watched.last("tick") > tick, lambda: robot.output)
         for reason in ("undecodable", "oversized"):
             robot.wait_for(f"refuses messages on its key ({reason})")
     finally:
