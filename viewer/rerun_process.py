@@ -19,7 +19,7 @@ from typing import IO
 from shared.errors import UserError
 
 HOST = "127.0.0.1"
-START_TIMEOUT = 10.0
+START_TIMEOUT = 30.0
 _BINARIES = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
 _PR_SET_PDEATHSIG = 1
 

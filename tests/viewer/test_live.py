@@ -18,7 +18,7 @@ from shared.errors import LinkError, UserError
 from shared.robots import Robot
 from shared.telemetry import encode_rows
 from shared.wire.channels import LINK_KEY, TICKS_KEY
-from tests.processes import Process, until
+from tests.processes import PATIENCE_SECONDS, Process, until
 from tests.telemetry_hub import is_heard
 from tests.viewer.reading import logged
 from tests.viewer.synthetic import link_rows, tick_rows
@@ -56,6 +56,8 @@ def test_a_stop_request_ends_the_search_for_a_hub() -> None:
 
 
 def test_a_dead_screen_is_told_with_what_else_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
+    # However long it takes a busy machine to find that out.
+    monkeypatch.setattr("viewer.display.SETTLE", PATIENCE_SECONDS)
     monkeypatch.setenv("DISPLAY", ":987")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(UserError, match=r"window could not be opened.*--view native, web, record"):
