@@ -1,7 +1,7 @@
-"""`pytest --late SECONDS`: every Python process starts so much later, also those of processes.
+"""`pytest --late SECONDS`: every process of a test and every service begins so much later.
 
 Tests and `deploy.up` start others by `sys.executable`, in whose place a script is put that sleeps
-before it becomes Python: process ids and command lines are what they were.
+before it becomes Python: process ids are what they were, and so are the command lines of services.
 """
 
 from __future__ import annotations

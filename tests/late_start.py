@@ -1,7 +1,9 @@
 """Run in place of Python: sleeps, then becomes it, in the same process. Imports nothing of ours.
 
-`late_start.py PYTHON STAND_IN SECONDS ARGUMENTS…`. A module that is run has the stand-in as its
-`sys.executable`, so that the processes that it starts are late as well.
+`late_start.py PYTHON STAND_IN SECONDS ARGUMENTS…`. A module of `deploy` has the stand-in as its
+`sys.executable`, so that the services that it starts are late as well. What a service itself starts
+is not: imports start processes too, and a service that is to be ready in time would have to wait
+for all of them.
 """
 
 import os
@@ -17,9 +19,10 @@ _RUN_MODULE = (
 def main() -> None:
     python, stand_in, seconds, *arguments = sys.argv[1:]
     time.sleep(float(seconds))
-    module = arguments.index("-m") if "-m" in arguments else len(arguments)
-    if "-c" not in arguments[:module] and module < len(arguments):
-        arguments[module:module] = ["-c", _RUN_MODULE, stand_in]
+    # The first -m, unless there is code before it, whose own it is.
+    k = arguments.index("-m") if "-m" in arguments else len(arguments)
+    if "-c" not in arguments[:k] and "".join(arguments[k + 1 : k + 2]).startswith("deploy."):
+        arguments[k:k] = ["-c", _RUN_MODULE, stand_in]
     os.execv(python, [python, *arguments])
 
 
