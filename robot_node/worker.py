@@ -36,7 +36,10 @@ class WorkerComputer:
         theirs.close()
         if not self._pipe.poll(_START_SECONDS):
             raise LinkError(f"the on-board computer did not start within {_START_SECONDS:g} s")
-        self._pipe.recv()
+        try:
+            self._pipe.recv()
+        except EOFError:
+            raise LinkError("the on-board computer ended before it could be used") from None
 
     def start(self, q: np.ndarray, v: np.ndarray, *, now_ns: int, target: int) -> None:
         self._pipe.send((q, v, target))
