@@ -6,7 +6,6 @@ import dataclasses
 import json
 import signal
 import ssl
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -248,10 +247,10 @@ def test_messages_themselves_are_stopped_even_where_subscriptions_are_not(
         for role in ("edge", "robot-romeo")
     )
     edge.subscribe(UPLINK.key_for("romeo"), lambda delivery: arrived.append(delivery.data))
-    projectors = edge.publisher(DOWNLINK.key_for("romeo"))
+    projectors = edge.publisher(DOWNLINK.key_for("romeo"), wait_when_full=True)
     answers: list[bytes] = []
     robot.subscribe(DOWNLINK.key_for("romeo"), lambda delivery: answers.append(delivery.data))
-    states = robot.publisher(UPLINK.key_for("romeo"))
+    states = robot.publisher(UPLINK.key_for("romeo"), wait_when_full=True)
     rogue = Rogue(secured[0], disguised(Lawless, keys, "robot-talos"))
     try:
         rogue.attack(lambda: rogue.is_heard, lambda: "nobody listens to the rogue")
@@ -261,7 +260,6 @@ def test_messages_themselves_are_stopped_even_where_subscriptions_are_not(
         for _ in range(20):
             projectors.publish(b"not for talos")
             states.publish(b"of romeo")
-            time.sleep(0.01)
         until(lambda: len(answers) == len(arrived) == 20, lambda: f"{answers} {arrived}")
     finally:
         for bus in (rogue, robot, edge, router):
