@@ -84,8 +84,8 @@ def test_a_watched_run_is_recorded_and_ends_within_two_seconds_of_the_signal(
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     (tmp_path / "config.toml").write_text(dump_config(RunConfig(), versions={}))
     hub = ZenohBus(listen=[endpoint], mode="router")
-    ticks = hub.publisher(TICKS_KEY.format(robot=robot.name))
-    link = hub.publisher(LINK_KEY)
+    ticks = hub.publisher(TICKS_KEY.format(robot=robot.name), wait_when_full=True)
+    link = hub.publisher(LINK_KEY, wait_when_full=True)
     viewer = Process(
         *("viewer", "live", "--config", str(tmp_path / "config.toml")),
         *("--telemetry", endpoint, "--view", "web", "--out", str(tmp_path)),
