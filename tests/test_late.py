@@ -35,7 +35,7 @@ def test_a_module_is_late_and_else_the_same(late: None, tmp_path: Path, module: 
     file.write_text(SAYS)
     began = time.monotonic()
     with subprocess.Popen(
-        python_command("-m", module, "-m", "x y"), cwd=tmp_path, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", module, "-m", "x y"], cwd=tmp_path, stdout=subprocess.PIPE, text=True
     ) as process:
         said, _ = process.communicate()
     waited = time.monotonic() - began
