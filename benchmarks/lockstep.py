@@ -6,7 +6,7 @@ in one process; the median of the repetitions of each. What is timed in a tick i
     controller   the local controller: b and A†b, or the correction, and the torque
     robot        what else the robot does: sensing, the reference, codec, cache, guards
     edge         the state decoded; terms, QP, projector, torque; the answer encoded
-    plant        a step of MuJoCo
+    plant        a step of MuJoCo, and whether the robot has fallen
     telemetry    the row of the tick, with the metrics in it
     link         all the rest: events, delay lines, bus, rows of messages and solves
 """
@@ -81,7 +81,7 @@ def timed_trial(task: str, controller: str, *, seconds: float | None) -> TrialTi
     local = [timed(robot.controller, name) for name in ("observe", "command")]
     on_robot = [timed(robot, name) for name in ("measure", "receive", "command")]
     on_edge = [timed(edge, name) for name in ("receive", "step")]
-    plant, telemetry = timed(robot, "advance"), timed(robot, "record")
+    advance, telemetry = timed(robot, "advance"), timed(robot.tick_row, "fill")
     begun = time.perf_counter()
     result = lockstep.run()
     ended = time.perf_counter()
@@ -97,7 +97,7 @@ def timed_trial(task: str, controller: str, *, seconds: float | None) -> TrialTi
         of_tick(*local),
         of_tick(*on_robot) - of_tick(*local),
         of_tick(*on_edge),
-        of_tick(plant),
+        of_tick(advance) - of_tick(telemetry),
         of_tick(telemetry),
     ]
     return TrialTime(

@@ -100,7 +100,7 @@ class RobotNode:
         self._sensors = Sensors(config.sensors, seed=config.seed)
         self._model = WholeBodyModel(robot)
         stacks = make_stacks(robot, config.wbc)
-        self._row = TickRow(self.schema, self._model, stacks)
+        self.tick_row = TickRow(self.schema, self._model, stacks)
         self._session = new_session() if session is None else session
         self._codec = Codec(robot, config, motion)
         self.controller = make_controller(
@@ -188,7 +188,7 @@ class RobotNode:
         )
         push = self._push()
         if row is not None:
-            self._row.fill(row, self._moment(command, com, soles, push), command)
+            self.tick_row.fill(row, self._moment(command, com, soles, push), command)
         if not self.running and command.source is not Source.HELD:
             self.running = True
             self._sensors.restart()

@@ -10,7 +10,6 @@ import functools
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from deploy.namespaces import Machine
+from shared.entry import python
 
 ROOT = Path(__file__).resolve().parents[1]
 # Nothing is given up sooner.
@@ -25,11 +25,6 @@ PATIENCE_SECONDS = 120.0
 # A stack loads five processes one after the other, and the machine may do more besides by then.
 _LOADS = 20
 _Found = TypeVar("_Found")
-
-
-def python_command(*arguments: str) -> list[str]:
-    """The command line of a Python process of this project: `-m MODULE …` or `-c CODE …`."""
-    return [sys.executable, *arguments]
 
 
 class Patience:
@@ -58,7 +53,7 @@ class _Loading:
     def __init__(self) -> None:
         self._began = time.monotonic()
         self._seconds: float | None = None
-        command = python_command("-m", "robot_node", "--help")
+        command = python("-m", "robot_node", "--help")
         self._process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
 
     def seconds(self) -> float | None:
@@ -126,7 +121,7 @@ class Process:
     def __init__(
         self, *arguments: str, machine: Machine | None = None, env: dict[str, str] | None = None
     ) -> None:
-        command = python_command(*(() if arguments[0] == "-c" else ("-m",)), *arguments)
+        command = python(*(() if arguments[0] == "-c" else ("-m",)), *arguments)
         self.popen = subprocess.Popen(
             command if machine is None else machine.command(*command),
             cwd=ROOT,

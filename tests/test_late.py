@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from shared.entry import python
 from tests.late import stand_in
-from tests.processes import python_command
 
 LATE_SECONDS = 0.3
 # Says how it was started, and how long that takes a process of its own.
@@ -32,6 +32,8 @@ def late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_module_is_late_and_else_the_same(late: None, tmp_path: Path, module: str) -> None:
     file = tmp_path / f"{module.replace('.', '/')}.py"
     file.parent.mkdir(exist_ok=True)
+    # A package, that is found before the project's own.
+    (file.parent / "__init__.py").touch()
     file.write_text(SAYS)
     began = time.monotonic()
     with subprocess.Popen(
@@ -52,6 +54,6 @@ def test_a_module_is_late_and_else_the_same(late: None, tmp_path: Path, module: 
 def test_code_is_late_and_else_the_same(late: None) -> None:
     began = time.monotonic()
     code = "import sys; print(sys.argv)"
-    said = subprocess.check_output(python_command("-c", code, "-m", "x"), text=True)
+    said = subprocess.check_output(python("-c", code, "-m", "x"), text=True)
     assert time.monotonic() - began > LATE_SECONDS
     assert said == "['-c', '-m', 'x']\n"

@@ -13,9 +13,10 @@ import pytest
 
 from benchmarks import viewer
 from benchmarks.viewer import CASES, Ticks, disturb, read_ticks
+from shared.entry import python
 from shared.errors import ConfigError
 from shared.telemetry import Column, Schema, write_parquet
-from tests.processes import ended, python_command, until
+from tests.processes import ended, until
 
 SCHEMA = Schema(*(Column(name) for name in ("time_ns", "tick_ns", "late_ns", "overruns")))
 
@@ -50,7 +51,7 @@ def test_a_run_of_a_second_has_nothing_to_read(tmp_path: Path, waiting: int, tic
 
 
 def sleeper(seconds: float) -> subprocess.Popen[bytes]:
-    command = python_command("-c", f"import time; time.sleep({seconds})")
+    command = python("-c", f"import time; time.sleep({seconds})")
     return subprocess.Popen(command, start_new_session=True)
 
 

@@ -13,8 +13,8 @@ import pytest
 from deploy import control
 from deploy.registry import Registry
 from deploy.state import ENDED, READY, ServiceState, StackFolder, StackState
+from shared.entry import python
 from shared.errors import ConfigError, LinkError
-from tests.processes import python_command
 
 # A stack that ends at a signal as one does: with a state that says so, then without its lock.
 STANDS_IN = """
@@ -57,9 +57,7 @@ def running(tmp_path: Path):
     def start(name: str = "run", **changes) -> StackFolder:
         changes = {"state": READY, "outcome": "", "exit_code": None, **changes}
         stack = written(tmp_path / name, **changes)
-        process = subprocess.Popen(
-            python_command("-c", STANDS_IN, str(stack.run)), stdout=subprocess.PIPE
-        )
+        process = subprocess.Popen(python("-c", STANDS_IN, str(stack.run)), stdout=subprocess.PIPE)
         started.append(process)
         assert process.stdout is not None
         assert process.stdout.readline() == b"READY\n"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.processes import played, python_command
+from shared.entry import python
+from tests.processes import played
 
 BEGINS = """
 import os, signal, sys
@@ -38,12 +39,12 @@ STDIN_IS_EMPTY = "return 5 if sys.stdin.read() == '' and os.getsid(0) == os.getp
     ],
 )
 def test_whoever_starts_it_waits_until_it_is_ready_or_has_its_exit_code(play, code, told):
-    done = played(*python_command("-c", BEGINS.format(play)), given="typed\n")
+    done = played(*python("-c", BEGINS.format(play)), given="typed\n")
     assert done.stderr == ""
     assert (done.returncode, done.stdout) == (code, told)
 
 
 def test_a_signal_until_then_ends_it_too():
     play = "os.kill(os.getppid(), signal.SIGINT); __import__('time').sleep(3600.0); return 0"
-    done = played(*python_command("-c", BEGINS.format(play)))
+    done = played(*python("-c", BEGINS.format(play)))
     assert done.returncode == 130, done.stderr

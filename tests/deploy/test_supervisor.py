@@ -12,8 +12,9 @@ import pytest
 from deploy.services import load_services
 from deploy.state import ENDED, READY
 from deploy.supervisor import Launch, Supervisor
+from shared.entry import python
 from shared.errors import ConfigError, LinkError
-from tests.processes import PATIENCE_SECONDS, python_command
+from tests.processes import PATIENCE_SECONDS
 
 FAILS = "print('READY', flush=True); raise SystemExit(4)"
 # Fails in its first life and serves in its second.
@@ -44,7 +45,7 @@ class Run:
         self, name: str, code: str, *, ready_seconds: float = PATIENCE_SECONDS, **changes
     ) -> None:
         service = dataclasses.replace(load_services()[name], **changes)
-        command = tuple(python_command("-c", code))
+        command = tuple(python("-c", code))
         await self.supervisor.start(Launch(service, command, ready_seconds))
 
     def state(self, name: str) -> str:

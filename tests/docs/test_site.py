@@ -10,7 +10,8 @@ import pytest
 from pymdownx.superfences import SuperFencesException
 
 from deploy.site_hooks import mathml
-from tests.processes import ROOT, python_command
+from shared.entry import python
+from tests.processes import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +20,7 @@ def site(tmp_path_factory):
     out = tmp_path_factory.mktemp("site")
     nobody = dict.fromkeys(("http_proxy", "https_proxy", "all_proxy"), "http://127.0.0.1:9")
     built = subprocess.run(
-        python_command("-m", "mkdocs", "build", "--strict", "--site-dir", str(out)),
+        python("-m", "mkdocs", "build", "--strict", "--site-dir", str(out)),
         cwd=ROOT,
         env={**os.environ, **nobody},
         capture_output=True,

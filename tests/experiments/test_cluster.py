@@ -9,8 +9,9 @@ import pytest
 
 from experiments.study import read_study
 from experiments.sweep import sweep
+from shared.entry import python
 from shared.errors import ConfigError
-from tests.processes import python_command, until
+from tests.processes import until
 
 STUDY = """
 seeds = 2
@@ -52,7 +53,7 @@ def cluster(tmp_path_factory):
         here = ["--host", "127.0.0.1", "--no-dashboard"]
         with log.open("w") as file:
             process = subprocess.Popen(
-                python_command("-m", "dask", *arguments, *here),
+                python("-m", "dask", *arguments, *here),
                 cwd=folder,
                 stdout=file,
                 stderr=subprocess.STDOUT,

@@ -15,8 +15,9 @@ from experiments.bisection import limits
 from experiments.study import read_study
 from experiments.sweep import sweep
 from experiments.trial_table import read_trials
+from shared.entry import python
 from shared.errors import ConfigError
-from tests.processes import ended, python_command, until
+from tests.processes import ended, until
 
 BISECT = """
 seeds = 3
@@ -184,7 +185,7 @@ def test_a_bisection_killed_in_the_middle_goes_on_to_the_same_table(tmp_path, un
     # A shell's background jobs ignore Ctrl-C; so may whoever runs the tests.
     restore = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
     process = subprocess.Popen(
-        python_command("-m", *sweeps),
+        python("-m", *sweeps),
         stderr=subprocess.DEVNULL,
         preexec_fn=restore,
         start_new_session=True,

@@ -16,8 +16,9 @@ from experiments.study import read_study
 from experiments.sweep import _write_table, sweep
 from experiments.trial_table import read_trials, table_in_words
 from experiments.workers import play
+from shared.entry import python
 from shared.errors import ConfigError
-from tests.processes import ended, python_command, until
+from tests.processes import ended, until
 
 BASE = """
 description = "as short as it gets"
@@ -193,7 +194,7 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path):
     # A shell's background jobs ignore the signal; so may whoever runs the tests.
     restore = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
     process = subprocess.Popen(
-        python_command("-m", *sweeps),
+        python("-m", *sweeps),
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=restore,

@@ -15,7 +15,8 @@ import pytest
 
 from deploy.registry import ROOT as STACKS
 from deploy.state import StackFolder
-from tests.processes import ROOT, Process, descendants_naming, played, python_command, until
+from shared.entry import python
+from tests.processes import ROOT, Process, descendants_naming, played, until
 
 pytestmark = pytest.mark.live
 
@@ -40,7 +41,7 @@ def told(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def up(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return played(*python_command("-m", "deploy.up", "-d", "--name", NAME, *arguments))
+    return played(*python("-m", "deploy.up", "-d", "--name", NAME, *arguments))
 
 
 def ports_of(run: Path) -> list[int]:

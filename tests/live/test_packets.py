@@ -14,8 +14,9 @@ import pytest
 
 from deploy.namespaces import Machine
 from netem.tun import EDGE_ADDRESS, ROBOT_ADDRESS, NamespacePair, namespaces
+from shared.entry import python
 from shared.errors import LinkError
-from tests.processes import Process, played, python_command
+from tests.processes import Process, played
 
 pytestmark = pytest.mark.live
 
@@ -62,7 +63,7 @@ def _permitted() -> None:
 @contextmanager
 def echo_server() -> Iterator[None]:
     """Sends back every datagram, at the edge's end."""
-    command = EDGE.command(*python_command("-c", ECHO))
+    command = EDGE.command(*python("-c", ECHO))
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None
     try:
@@ -77,7 +78,7 @@ def echo_server() -> Iterator[None]:
 def round_trips_ns(*, size: int, count: int, patience: int = 30) -> list[int]:
     """Of datagrams from the robot's end; −1 for one that did not come back in `patience` [s]."""
     words = (EDGE.address, str(size), str(count), str(patience))
-    command = ROBOT.command(*python_command("-c", PING, *words))
+    command = ROBOT.command(*python("-c", PING, *words))
     done = played(*command)
     assert done.returncode == 0, done.stderr
     return [int(line) for line in done.stdout.split()]

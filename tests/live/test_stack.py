@@ -17,10 +17,11 @@ from shared.bus.base import Delivery
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config import RunConfig
 from shared.config_file import load_config
+from shared.entry import python
 from shared.robots import CATALOGUE, load_robot
 from shared.telemetry import read_parquet
 from shared.wire.channels import DOWNLINK
-from tests.processes import ROOT, Process, descendants_naming, ended, python_command, until
+from tests.processes import ROOT, Process, descendants_naming, ended, until
 from tests.telemetry_hub import TelemetryHub, is_heard
 
 pytestmark = pytest.mark.live
@@ -162,7 +163,7 @@ def test_interrupted_up_stops_everything_and_keeps_what_was_measured(
 
 def test_whoever_reads_its_output_may_leave_and_the_run_goes_on(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    command = python_command("-m", "deploy.up", "--controller", "lc", "--view", "off")
+    command = python("-m", "deploy.up", "--controller", "lc", "--view", "off")
     command += ["--duration", "1", "--push", "none", "--out", str(out)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as up:
         assert up.stdout is not None

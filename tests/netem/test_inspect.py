@@ -4,11 +4,12 @@ import json
 
 import pytest
 
-from tests.processes import played, python_command
+from shared.entry import python
+from tests.processes import played
 
 
 def netem(*arguments):
-    return played(*python_command("-m", "netem", *arguments))
+    return played(*python("-m", "netem", *arguments))
 
 
 def test_a_list_has_a_line_per_profile():

@@ -17,8 +17,9 @@ from shared.cli import (
     run,
 )
 from shared.config import RunConfig
+from shared.entry import python
 from shared.errors import ConfigError, LinkError, MessageRefused, ProfileError, UserError
-from tests.processes import PATIENCE_SECONDS, python_command
+from tests.processes import PATIENCE_SECONDS
 
 
 @pytest.fixture
@@ -164,7 +165,7 @@ def test_a_reader_that_left_is_no_traceback():
     reader, writer = os.pipe()
     os.close(reader)
     finished = subprocess.run(
-        python_command("-c", script),
+        python("-c", script),
         stdout=writer,
         stderr=subprocess.PIPE,
         text=True,

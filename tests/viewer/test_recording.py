@@ -11,10 +11,11 @@ from rerun.chunk import RrdReader
 
 from shared.config import RunConfig
 from shared.config_file import dump_config
+from shared.entry import python
 from shared.errors import UserError
 from shared.robots import Robot
 from shared.telemetry import write_parquet
-from tests.processes import played, python_command
+from tests.processes import played
 from tests.viewer.reading import entities, static
 from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
 from viewer.meshes import load_meshes
@@ -124,7 +125,7 @@ def test_a_spoilt_run_is_refused_in_one_line_and_leaves_no_recording(
 
 
 def test_the_command_line_prints_one_line_and_exits_with_two(tmp_path: Path) -> None:
-    done = played(*python_command("-m", "viewer", "record", str(tmp_path / "nothing")))
+    done = played(*python("-m", "viewer", "record", str(tmp_path / "nothing")))
     assert done.returncode == 2
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1

@@ -12,10 +12,11 @@ from experiments.lockstep import Lockstep
 from experiments.trial import write_run
 from shared.config import RunConfig
 from shared.config_file import dump_config
+from shared.entry import python
 from shared.errors import UserError
 from shared.robots import Robot
 from shared.telemetry import write_parquet
-from tests.processes import played, python_command
+from tests.processes import played
 from tests.viewer.reading import entities
 from tests.viewer.synthetic import tick_rows
 from viewer.recording import save
@@ -77,7 +78,7 @@ def test_a_run_beside_itself_is_refused(runs: dict[str, Path]) -> None:
 @pytest.mark.parametrize("command", ["open", "compare", "snapshot"])
 def test_a_wrong_folder_is_refused_in_one_line(command: str, tmp_path: Path) -> None:
     extra = ["--out", str(tmp_path / "x.png")] if command == "snapshot" else []
-    done = played(*python_command("-m", "viewer", command, str(tmp_path), *extra))
+    done = played(*python("-m", "viewer", command, str(tmp_path), *extra))
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert "found no config.toml and no telemetry.parquet" in done.stderr

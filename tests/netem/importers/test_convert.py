@@ -8,9 +8,10 @@ from netem.importers.formats import FORMATS
 from netem.networks import SHIPPED, load_profile
 from netem.profile import DOWNLINK, UPLINK
 from netem.profile_file import read_profile
+from shared.entry import python
 from shared.errors import ProfileError
 from tests.netem.importers.conftest import run
-from tests.processes import played, python_command
+from tests.processes import played
 
 
 @pytest.mark.parametrize(
@@ -134,7 +135,7 @@ def test_a_profile_of_another_name_or_that_cannot_be_written_is_refused(tmp_path
 
 def test_the_command_itself_converts_and_says_errors_in_one_line(tmp_path, sample):
     out = tmp_path / "out.npz"
-    command = python_command("-m", "netem", "convert")
+    command = python("-m", "netem", "convert")
     files = [str(sample("ping_D_sample.txt")), str(out)]
     done = played(*command, *files)
     assert (done.returncode, done.stderr) == (0, "")
