@@ -25,7 +25,7 @@ from pathlib import Path
 import pytest
 
 from deploy.services import load_services
-from tests.live.conftest import ROOT, descendants_naming
+from tests.processes import ROOT, descendants_naming
 
 pytestmark = [pytest.mark.live, pytest.mark.docker]
 
