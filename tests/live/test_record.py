@@ -1,4 +1,4 @@
-"""Recording a path between real processes on loopback. Medians only: the machine may be busy."""
+"""Recording a path between real processes on loopback: what holds however busy the machine is."""
 
 from __future__ import annotations
 
@@ -23,10 +23,6 @@ pytestmark = pytest.mark.live
 
 Start = Callable[..., Process]
 MS = 1e6
-# What `replay` and a recorder on one machine may differ by at the median, per way.
-AGREEMENT_MS = 0.5
-# Each only if those before did not agree.
-ATTEMPTS = 8
 # `netem record` that gives up sooner than it does.
 IMPATIENT = """
 from netem.__main__ import main
@@ -35,8 +31,6 @@ from shared.cli import run
 record.CONNECT_SECONDS = record_loops.CONNECT_SECONDS = 3.0
 run(main)
 """
-# A shim so late at the median, by its own log, has not the machine to itself; it is .1 alone.
-BUSY_MS = 0.2
 
 
 def start_far(start: Start, endpoint: str) -> Process:
@@ -56,9 +50,9 @@ def record(start: Start, endpoint: str, out: Path, *, seconds: float) -> Process
 
 def record_through_shim(
     start: Start, endpoints: list[str], network: str, out: Path, *, seconds: float
-) -> tuple[float, float]:
-    """Record `network` as it is replayed. Returns the median difference of the two, of the worse
-    way, and how late the shim itself was at the median [ms].
+) -> tuple[np.ndarray, np.ndarray]:
+    """Record `network` as it is replayed: the delays replayed and those recorded in the same
+    periods, shape (2, n) [ns].
     """
     edge_side, robot_side = endpoints
     folder = out.with_suffix("")
@@ -79,15 +73,7 @@ def record_through_shim(
     middles_ns = recorded.metadata["start_ns"] + (np.arange(n) + 0.5) * recorded.period_ns
     elapsed_ns = middles_ns - began_ns + replayed.start_offset_ns(0)
     periods = (elapsed_ns // replayed.period_ns).astype(int) % replayed.delays_ns.shape[1]
-    differences = []
-    for before, after in zip(replayed.delays_ns[:, periods], recorded.delays_ns, strict=True):
-        passed = (before != LOST) & (after != LOST)
-        # The shim drops nothing of its own; a busy machine may.
-        assert np.mean(passed) > 0.5
-        differences.append(np.median(np.abs(after - before)[passed]) / MS)
-    achieved_ns = schema.column(rows, "achieved_ns")
-    late_ns = (achieved_ns - schema.column(rows, "nominal_ns"))[achieved_ns >= 0]
-    return max(differences), float(np.median(late_ns) / MS)
+    return replayed.delays_ns[:, periods], recorded.delays_ns
 
 
 def test_a_recording_on_loopback_is_a_profile_that_replay_accepts(
@@ -118,26 +104,31 @@ def test_a_recording_on_loopback_is_a_profile_that_replay_accepts(
     assert descendants_naming(f"--out {tmp_path}") == []
 
 
-# Long enough to meet the outage of factory/011 where seed 0 starts it.
-@pytest.mark.parametrize(("network", "seconds"), [("constant:8ms/14ms", 1.0), ("factory/011", 3.0)])
-def test_recording_replaying_and_recording_agree(
-    start: Start, endpoints: list[str], tmp_path: Path, network: str, seconds: float
+def test_a_recorded_replay_has_no_delay_cut_short(
+    start: Start, endpoints: list[str], tmp_path: Path
 ) -> None:
-    found = []
-    for attempt in range(ATTEMPTS):
-        first, second = tmp_path / f"first{attempt}.npz", tmp_path / f"second{attempt}.npz"
-        legs = (
-            record_through_shim(start, endpoints, network, first, seconds=seconds),
-            record_through_shim(start, endpoints, str(first), second, seconds=seconds),
-        )
-        if network == "factory/011":
-            assert load_profile(str(second)).delays_ns.max() > 150 * MS
-        found.append(legs)
-        if max(difference for difference, _ in legs) < AGREEMENT_MS:
-            return
-    if all(max(late for _, late in legs) > BUSY_MS for legs in found):
-        pytest.skip(f"the machine is too busy to tell: differences and lateness [ms] {found}")
-    pytest.fail(f"differences and lateness of the shim [ms]: {found}")
+    network, out = "constant:8ms/14ms", tmp_path / "first.npz"
+    for leg in range(2):
+        _, recorded = record_through_shim(start, endpoints, network, out, seconds=1.0)
+        for delays, least_ms in zip(recorded, (8, 14), strict=True):
+            passed = delays[delays != LOST]
+            # The recorder loses nothing of its own; a busy machine may.
+            assert len(passed) > 0
+            assert passed.min() >= least_ms * MS
+        # What was recorded is replayed next.
+        network, out = str(out), tmp_path / f"again{leg}.npz"
+
+
+def test_an_outage_is_replayed_recorded_and_replayed_again(
+    start: Start, endpoints: list[str], tmp_path: Path
+) -> None:
+    network, out = "factory/011", tmp_path / "first.npz"
+    for leg in range(2):
+        # Long enough to meet the outage where seed 0 starts it.
+        replayed, recorded = record_through_shim(start, endpoints, network, out, seconds=3.0)
+        assert replayed.max() > 150 * MS
+        assert recorded.max() > 150 * MS
+        network, out = str(out), tmp_path / f"again{leg}.npz"
 
 
 def start_near(start: Start, endpoint: str, out: Path) -> Process:
