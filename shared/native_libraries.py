@@ -7,7 +7,10 @@ Rounding: OpenBLAS has a kernel for each family of processors, and each rounds i
 kernel on every x86-64 processor with AVX2 makes a simulated trial the same to the last bit on all
 of them, at no cost that was measured (`docs/reproduction.md`).
 
-Every entry point imports this before numpy and zenoh.
+Drawing: figures go into files, and MuJoCo draws nothing, so that neither depends on a screen, nor
+on what the caller draws with.
+
+Every entry point imports this before numpy, zenoh, mujoco and matplotlib.
 """
 
 import os
@@ -36,6 +39,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 if os.environ.get("OPENBLAS_CORETYPE", "").lower() in ("", *_NEWER) and instruction_set() == AVX2:
     os.environ["OPENBLAS_CORETYPE"] = KERNEL
+os.environ |= {"MPLBACKEND": "agg", "MUJOCO_GL": "disable"}
 os.environ.setdefault(
     "ZENOH_RUNTIME",
     "(rx: (worker_threads: 1), tx: (handover: rx), net: (handover: rx), "

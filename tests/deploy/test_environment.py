@@ -8,10 +8,12 @@ import subprocess
 import sys
 import time
 import venv
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
+from deploy.installed import missing
 from shared.entry import python
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,6 +61,7 @@ def ran(command: list[str], *, cwd: Path, **environment: str) -> subprocess.Comp
         {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"},
         {"PYTHONSTARTUP": "{foreign}/none", "PYTHONOPTIMIZE": "2", "PYTHONWARNINGS": "error"},
         {"CDPATH": "{foreign}:/", "OPENBLAS_CORETYPE": "SkylakeX"},
+        {"MPLBACKEND": "module://no.such", "MUJOCO_GL": "none of these"},
     ],
     ids=lambda environment: "+".join(environment) or "folder",
 )
@@ -113,6 +116,22 @@ def test_a_package_of_another_environment_is_one_line(foreign: Path, tmp_path: P
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert f"found {foreign / 'numpy/__init__.py'}" in line
+
+
+def test_what_a_lock_names_and_is_not_installed_is_told() -> None:
+    numpy = version("numpy")
+    lock = f"""
+numpy=={numpy} \\
+    --hash=sha256:0
+pin[extra]==0.0.1 ; python_full_version >= '3.10' \\
+nothing-of-this-name==1.0 \\
+tomli==9.9 ; python_full_version < '3.0' \\
+"""
+    assert missing(lock) == [
+        f"pin 0.0.1 ({version('pin')})",
+        "nothing-of-this-name 1.0 (none)",
+    ]
+    assert missing((ROOT / "requirements.lock").read_text(encoding="utf-8")) == []
 
 
 @pytest.mark.parametrize("name", COMMANDS)
