@@ -13,6 +13,7 @@ import sys
 import time
 
 from deploy.state import LineFile
+from shared.screen import rewrites_lines
 
 _COLOURS = {
     "edge": "\033[34m",
@@ -31,7 +32,7 @@ class Terminal:
 
     def __init__(self, copy: LineFile | None = None) -> None:
         self._copy = copy
-        self._live = sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+        self._live = rewrites_lines(sys.stdout)
         # https://no-color.org
         self._coloured = self._live and not os.environ.get("NO_COLOR")
         self._quiet = False

@@ -6,6 +6,8 @@ import os
 import sys
 import time
 
+from shared.screen import rewrites_lines
+
 _EVERY_SECONDS = 10.0
 _BAR = (10, 40)
 # Of a terminal that does not say.
@@ -19,7 +21,7 @@ class Progress:
         self._done, self._falls, self._left = done, falls, left
         self._played = 0
         self._started = self._printed = time.perf_counter()
-        self._terminal = sys.stderr.isatty()
+        self._terminal = rewrites_lines(sys.stderr)
         self._open = False
         if self._terminal and left > 0:
             self._print()

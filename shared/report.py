@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.linalg  # noqa: F401  (its BLAS is one of those that are told)
-import threadpoolctl
 
 from shared.config import RunConfig
 from shared.metrics import (
@@ -53,7 +51,11 @@ def versions() -> dict[str, str]:
 
 
 def blas_kernels() -> str:
-    """The kernels of the BLAS libraries that have been loaded, numpy's and scipy's."""
+    """The kernels of numpy's and scipy's BLAS libraries."""
+    # Imported here: services that only make their report should not load them at their start.
+    import scipy.linalg  # noqa: F401
+    import threadpoolctl
+
     loaded = threadpoolctl.threadpool_info()
     kernels = {
         each.get("architecture", each["internal_api"])

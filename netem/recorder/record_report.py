@@ -12,6 +12,7 @@ import numpy as np
 from netem.profile import DIRECTIONS, LOST
 from netem.recorder.record_loops import NearLoop
 from netem.recorder.recording import Recorded
+from shared.screen import rewrites_lines
 
 _CLEAR_LINE = "\r\033[2K"
 _TERMINAL_SECONDS, _PLAIN_SECONDS = 0.25, 5.0
@@ -30,7 +31,7 @@ class StatusLine:
     def __init__(self, loop: NearLoop, *, seconds: float) -> None:
         self._loop = loop
         self._loop.left_seconds = seconds
-        self._live = sys.stdout.isatty()
+        self._live = rewrites_lines(sys.stdout)
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="status", daemon=True)
 

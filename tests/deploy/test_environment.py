@@ -15,8 +15,8 @@ import pytest
 
 from deploy.installed import missing
 from shared.entry import python
+from tests.processes import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 # What a folder of the caller's may have in it: of names of ours, and of packages that we use.
 FOREIGN = ("shared", "deploy", "numpy", "pinocchio", "zenoh")
 COMMANDS = {
@@ -87,32 +87,35 @@ def test_a_child_has_nothing_of_the_callers_python_and_speaks_utf_8(foreign: Pat
     assert str(foreign) not in done.stdout
 
 
+def bare(folder: Path, *importable: Path) -> str:
+    """The Python of a new environment without packages, where some folders are importable."""
+    venv.create(folder, symlinks=True)
+    (packages,) = (folder / "lib").glob("python3*/site-packages")
+    (packages / "project.pth").write_text("".join(f"{each}\n" for each in importable))
+    return str(folder / "bin/python")
+
+
 def test_a_python_without_the_project_is_one_line(tmp_path: Path) -> None:
-    venv.create(tmp_path / "bare", symlinks=True)
-    bare = str(tmp_path / "bare/bin/python")
-    done = ran([bare, "-m", "experiments", "trial"], cwd=ROOT)
+    other = bare(tmp_path / "bare")
+    done = ran([other, "-m", "experiments", "trial"], cwd=ROOT)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
-    assert f"got {bare}; ./deploy/setup installs it" in done.stderr
+    assert f"got {other}; ./deploy/setup installs it" in done.stderr
 
 
 def test_a_missing_package_is_one_line(tmp_path: Path) -> None:
-    venv.create(tmp_path / "bare", symlinks=True)
-    (packages,) = (tmp_path / "bare/lib").glob("python3*/site-packages")
-    (packages / "project.pth").write_text(f"{ROOT}\n")
-    done = ran([str(tmp_path / "bare/bin/python"), "-m", "experiments", "trial"], cwd=tmp_path)
+    other = bare(tmp_path / "bare", ROOT)
+    done = ran([other, "-m", "experiments", "trial"], cwd=tmp_path)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith(f"error: expected the package numpy in {tmp_path / 'bare'}, found none")
 
 
 def test_a_package_of_another_environment_is_one_line(foreign: Path, tmp_path: Path) -> None:
-    venv.create(tmp_path / "bare", symlinks=True)
-    (packages,) = (tmp_path / "bare/lib").glob("python3*/site-packages")
     (foreign / "shared/__init__.py").unlink()
     (foreign / "shared").rmdir()
-    (packages / "project.pth").write_text(f"{ROOT}\n{foreign}\n")
-    done = ran([str(tmp_path / "bare/bin/python"), "-m", "experiments", "trial"], cwd=tmp_path)
+    other = bare(tmp_path / "bare", ROOT, foreign)
+    done = ran([other, "-m", "experiments", "trial"], cwd=tmp_path)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert f"found {foreign / 'numpy/__init__.py'}" in line

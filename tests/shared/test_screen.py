@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from shared.screen import has_screen
+from shared.screen import has_screen, rewrites_lines
 
 
 @pytest.mark.parametrize("name", ["DISPLAY", "WAYLAND_DISPLAY"])
@@ -24,3 +24,13 @@ def test_elsewhere_there_is_a_screen_without_one(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert has_screen()
+
+
+@pytest.mark.parametrize(
+    ("terminal", "kind", "expected"),
+    [(True, "xterm", True), (True, "dumb", False), (False, "xterm", False)],
+)
+def test_a_line_is_rewritten_on_a_terminal_that_can(monkeypatch, terminal, kind, expected):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
+    monkeypatch.setenv("TERM", kind)
+    assert rewrites_lines(sys.stdout) == expected
