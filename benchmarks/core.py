@@ -17,8 +17,9 @@ from benchmarks.timing import Timing, header, measure, table
 from edge_node.node import EdgeNode
 from experiments.lockstep import Lockstep
 from robot_node.node import RobotNode
-from shared.config import CONTROLLERS, CORRECTION_LEVELS, RunConfig
+from shared.config import CORRECTION_LEVELS, RunConfig
 from shared.config_file import load_config
+from shared.controllers import CONTROLLERS
 from shared.motion.reference import Standing
 from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode

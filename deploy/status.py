@@ -10,8 +10,7 @@ import numpy as np
 
 from deploy.events import TOLD_NS, Event, Events
 from shared.bus.base import Delivery
-from shared.report import SOURCES
-from shared.telemetry import Schema, decode_rows
+from shared.telemetry import Schema, Source, decode_rows
 from shared.wbc.contacts import ContactMode
 
 _BARS = "▁▂▃▄▅▆▇█"
@@ -74,7 +73,7 @@ class Status:
         time_ns = last["time_ns"]
         if time_ns < 0:
             return "robot waits for its first projector"[:columns]
-        source, age_ns = SOURCES[int(last["source"])], last["projector_age_ns"]
+        source, age_ns = Source(last["source"]).label, last["projector_age_ns"]
         before = f"t {time_ns * 1e-9:5.2f}/{self._duration:g} s | {source:<9}"
         link = f" | link up {self._way(0)} down {self._way(1)} ms "
         after = " push!" if np.any(schema.column(rows, "push_n")) else ""
@@ -105,7 +104,7 @@ class Status:
         """There and back, or as long as nothing has come through at all: by the last state, or by
         the age of the answer in use if it is used as it came. Without a shim here it is that age.
         """
-        source = SOURCES[int(schema.column(rows, "source")[-1])]
+        source = Source(schema.column(rows, "source")[-1]).label
         age_ns = float(schema.column(rows, "projector_age_ns")[-1])
         as_it_came = source in ("fresh", "cached") and age_ns >= 0
         if self._delay_ms[0] is None:

@@ -14,20 +14,18 @@ import numpy as np
 
 from experiments.lockstep import Lockstep, TrialResult
 from robot_node.cache import ProjectorCache
-from robot_node.controllers import ControllerParts, Decision, Source
+from robot_node.controllers import Controller, ControllerParts, Decision
 from shared.config_file import load_config
 from shared.motion.reference import Reference
+from shared.telemetry import Source
 from shared.wbc.torque import recover_torque
 
 
-class LastSolution:
+class LastSolution(Controller):
     """τ = S (M a + h − J_cᵀ G f), with y = (a, f) the edge's and the rest measured now."""
 
-    ages = True  # an answer older than loop.hold_after is of no use
-    doubtful = False  # never asks to end a walk
-
     def __init__(self, parts: ControllerParts) -> None:
-        self.cache = ProjectorCache(parts.codec, session=parts.session)
+        self.cache: ProjectorCache = ProjectorCache(parts.codec, session=parts.session)
         self._parts = parts
         self._state: tuple[np.ndarray, np.ndarray]
 

@@ -25,8 +25,9 @@ from experiments.sweep import sweep, workers_from
 from experiments.trial_table import wilson_interval
 from experiments.workers import EXAMPLE
 from shared.cli import EXIT_STANDING
-from shared.config import CONTROLLERS, TASKS, RunConfig
+from shared.config import TASKS, RunConfig
 from shared.config_file import load_config
+from shared.controllers import CONTROLLERS
 from shared.errors import ConfigError
 from shared.quantities import parse_duration_ns, parse_push
 from shared.robots import load_robot

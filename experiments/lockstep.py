@@ -23,8 +23,8 @@ from netem.networks import load_network
 from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
 from netem.shim import record_message
-from robot_node.controllers import MakeController
-from robot_node.node import RobotNode, make_controller
+from robot_node.controllers import MakeController, make_controller
+from robot_node.node import RobotNode
 from robot_node.tick import Tick
 from shared.bus.base import Delivery, Inbox
 from shared.bus.memory import MemoryBus

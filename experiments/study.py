@@ -61,7 +61,7 @@ from experiments.study_tables import (
     variants_of,
 )
 from shared.errors import ConfigError
-from shared.report import SOURCES
+from shared.telemetry import Source
 from shared.toml_file import read_toml
 
 SHIPPED = Path(__file__).parent / "configs"
@@ -70,7 +70,7 @@ DEFAULT_SEEDS = 20
 DEFAULT_COLUMNS = (
     *("network", "fell", "task_seconds", "com_error_m", "contact_violation_m_s2"),
     *("foot_slip_mm.max", "projector_age_ms.p50", "projector_age_ms.max"),
-    *(f"commands.{name}" for name in SOURCES),
+    *(f"commands.{each.label}" for each in Source),
     *("on_board_qps", "switch_to_fresh_ms.max", "switch_to_fresh_ms.never"),
     *("link.uplink.sent", "link.downlink.sent", "link.downlink.bytes_per_second", "log_hash"),
 )

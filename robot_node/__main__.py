@@ -6,12 +6,13 @@ from remote_wbc import begin
 
 begin(__name__)
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from robot_node.live import LiveLoop, Narrator
-from robot_node.node import RobotNode, needs_on_board_computer
+from robot_node.node import RobotNode
 from robot_node.worker import WorkerComputer
 from shared.bus.base import Inbox
 from shared.bus.knock import knock
@@ -58,8 +59,7 @@ def main() -> int:
     motion = make_motion(robot, config)
     me = identity_from(arguments, role=None, kind=robot.name)
     stop = StopSignal()
-    computer = WorkerComputer(config) if needs_on_board_computer(config, motion) else None
-    node = RobotNode(robot, config, motion, computer=computer)
+    node = RobotNode(robot, config, motion, start_computer=partial(WorkerComputer, config))
     scheduling = prepare(priority=_PRIORITY)
     bus = ZenohBus.dial(
         arguments.connect,

@@ -7,35 +7,25 @@ corrected, `robot_node/corrected.py`) corrects its last solution by the answer's
 
 from __future__ import annotations
 
-import enum
+import importlib
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from robot_node.cache import AnswerCache, CacheEntry, ProjectorCache
+from robot_node.onboard import OnBoard, OnBoardWindow, StartComputer, projector_solve
 from shared.config import RunConfig
-from shared.motion.reference import Reference
+from shared.controllers import CONTROLLERS
+from shared.motion.reference import Motion, Reference
+from shared.telemetry import Source
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.stack import Stack
 from shared.wbc.torque import recover_torque
 from shared.wire.codec import Codec
-
-
-class Source(enum.IntEnum):
-    """Where a command came from: this tick's answer, an older one as it is, nowhere (the joints are
-    held), the robot's own computer, an older answer corrected, or the same while the robot ends its
-    walk because corrections have become doubtful."""
-
-    FRESH = 0
-    CACHED = 1
-    HELD = 2
-    ON_BOARD = 3
-    CORRECTED = 4
-    STOPPING = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,31 +63,34 @@ class Command:
     decision: Decision | None
 
 
-class Controller(Protocol):
-    """From the edge's answers and a fresh measurement to a command."""
+class Controller(ABC):
+    """From the edge's answers and a fresh measurement to a command.
 
-    @property
-    def cache(self) -> AnswerCache:
-        """What takes in the answers."""
-        ...
+    `cache` takes in the answers. `on_board` is the robot's own computer, if it has work for one.
 
-    @property
-    def ages(self) -> bool:
-        """Whether an answer is of no use once it is older than `loop.hold_after`."""
-        ...
+    * `every_state_answered`: an answer to each state is expected, so that waiting d* for it may be
+      worth it.
+    * `answers_expire`: an answer is of no use once it is older than `loop.hold_after`.
+    * `bounds_torque_steps`: where the kind of command changes, the torque moves there in steps.
+    """
 
-    @property
-    def doubtful(self) -> bool:
+    every_state_answered = True
+    answers_expire = True
+    bounds_torque_steps = False
+
+    cache: AnswerCache
+    on_board: OnBoard | None = None
+
+    def should_stop(self) -> bool:
         """Whether the robot should come to a stand while it can."""
-        ...
+        return False
 
-    def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:
+    def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:  # noqa: B027
         """First phase of a tick: what can be computed before its answer comes."""
-        ...
 
+    @abstractmethod
     def command(self, *, time_ns: int) -> Decision | None:
         """Second phase, at a task time; None if no answer may be used."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -105,30 +98,33 @@ class ControllerParts:
     """What a robot has to make its controller from.
 
     `codec` and `session` are for its cache; `model` and `stacks` are the robot's own, with `model`
-    a workspace that every call overwrites.
+    a workspace that every call overwrites. `start_computer` starts the on-board computer.
     """
 
     config: RunConfig
+    motion: Motion
     codec: Codec
     session: int
     model: WholeBodyModel
     stacks: dict[ContactMode, Stack]
+    start_computer: StartComputer
 
 
 MakeController = Callable[[ControllerParts], Controller]
 
 
-class PurelyRemote:
+def make_controller(parts: ControllerParts) -> Controller:
+    """The controller that `parts.config.controller` names in the table."""
+    module, _, name = CONTROLLERS[parts.config.controller].factory.partition(":")
+    factory: MakeController = getattr(importlib.import_module(module), name)
+    return factory(parts)
+
+
+class PurelyRemote(Controller):
     """PR: the last torque received, whatever it was computed for."""
 
-    ages = True
-    doubtful = False
-
-    def __init__(self, cache: ProjectorCache) -> None:
-        self.cache = cache
-
-    def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:
-        pass
+    def __init__(self, parts: ControllerParts) -> None:
+        self.cache: ProjectorCache = ProjectorCache(parts.codec, session=parts.session)
 
     def command(self, *, time_ns: int) -> Decision | None:
         entry = self.cache.newest_solution
@@ -137,18 +133,21 @@ class PurelyRemote:
         return _decision(entry, entry.tau, entry.y)
 
 
-class LocallyAssisted:
-    """LA: ŷ = Â† b with the newest projector of the contact mode and the b of this tick."""
+class LocallyAssisted(Controller):
+    """LA: ŷ = Â† b with the newest projector of the contact mode and the b of this tick.
 
-    ages = True
-    doubtful = False
+    In a walk the on-board computer helps it over the contact switches.
+    """
 
-    def __init__(
-        self, cache: ProjectorCache, model: WholeBodyModel, stacks: dict[ContactMode, Stack]
-    ) -> None:
-        self.cache = cache
-        self._model = model
-        self._stacks = stacks
+    def __init__(self, parts: ControllerParts) -> None:
+        self.cache: ProjectorCache = ProjectorCache(parts.codec, session=parts.session)
+        switch, motion = parts.config.switch, parts.motion
+        wanted = switch.prepare_on_board or switch.solve_on_board
+        if wanted and motion.next_switch(0) is not None:
+            computer = parts.start_computer(projector_solve)
+            self.on_board = OnBoardWindow(switch, motion, computer, self.cache)
+        self._model = parts.model
+        self._stacks = parts.stacks
         self._stack: Stack
         self._q: np.ndarray
         self._v: np.ndarray

@@ -12,12 +12,13 @@ import math
 import numpy as np
 
 from robot_node.cache import CorrectorEntry, FactorisationCache
-from robot_node.controllers import Decision, Source
-from shared.config import CorrectionConfig
+from robot_node.controllers import Controller, ControllerParts, Decision
+from robot_node.onboard import OnBoardRefresh, factorisation_solve
 from shared.motion.reference import Reference
+from shared.telemetry import Source
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Iterate
-from shared.wbc.model import Kinematics, WholeBodyModel
+from shared.wbc.model import Kinematics
 from shared.wbc.stack import Stack
 from shared.wbc.torque import recover_torque
 
@@ -49,24 +50,31 @@ class Contraction:
         self.estimate = self.estimate + _AVERAGE * (ratio - self.estimate) if known else ratio
 
 
-class LocallyCorrected:
-    """LC: y⁺ = y + K₀ r(y), the friction rows decided anew, from the newest factorisation."""
+class LocallyCorrected(Controller):
+    """LC: y⁺ = y + K₀ r(y), the friction rows decided anew, from the newest factorisation.
 
-    ages = False
+    With a budget for it the on-board computer factorises when corrections leave too much.
+    """
 
-    def __init__(
-        self,
-        cache: FactorisationCache,
-        model: WholeBodyModel,
-        stacks: dict[ContactMode, Stack],
-        config: CorrectionConfig,
-    ) -> None:
-        self.cache = cache
-        self._model = model
-        self._stacks = stacks
+    every_state_answered = False
+    answers_expire = False
+    bounds_torque_steps = True
+
+    def __init__(self, parts: ControllerParts) -> None:
+        config = parts.config.correction
+        self.cache: FactorisationCache = FactorisationCache(
+            parts.codec, parts.stacks, session=parts.session, level=config.level
+        )
+        if config.on_board_budget > 0.0:
+            computer = parts.start_computer(factorisation_solve)
+            self.on_board = OnBoardRefresh(
+                parts.config, computer, self.cache, lambda: self.wants_refresh
+            )
+        self._model = parts.model
+        self._stacks = parts.stacks
         self._config = config
         self._contraction = Contraction()
-        self._iterate = Iterate.zero(stacks[ContactMode.DOUBLE_SUPPORT])
+        self._iterate = Iterate.zero(parts.stacks[ContactMode.DOUBLE_SUPPORT])
         self._steps = self._tick = 0
         self._uncorrected = False
         self._stack: Stack
@@ -74,8 +82,7 @@ class LocallyCorrected:
         self._now: Kinematics
         self._residual: np.ndarray
 
-    @property
-    def doubtful(self) -> bool:
+    def should_stop(self) -> bool:
         return self._contraction.estimate > self._config.stop_above
 
     @property

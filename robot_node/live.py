@@ -11,14 +11,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from robot_node.controllers import Source
 from robot_node.node import RobotNode
 from robot_node.tick import Tick
 from shared.bus.base import Delivery, Inbox, Publisher
 from shared.clock import MonotonicClock, Ticker, sleep_until
 from shared.config import LoopConfig
 from shared.errors import LinkError
-from shared.telemetry import RowLog
+from shared.telemetry import RowLog, Source
 
 # An answer older than this is worth a word: no healthy link is that slow.
 STALE_NS = 250_000_000
@@ -97,7 +96,10 @@ class LiveLoop:
             self._uplink.publish(state)
             sending_ns = clock.now_ns() - sensed_ns
 
-            if node.waits_for_answers and self._round_trip_ns < config.fresh_within_ns:
+            if (
+                node.controller.every_state_answered
+                and self._round_trip_ns < config.fresh_within_ns
+            ):
                 sleep_until(ticker.due_ns + config.fresh_within_ns)
             was_running = node.running
             command, answered = self._tick.end(

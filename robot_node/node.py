@@ -13,25 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_node.cache import AnswerCache, FactorisationCache, ProjectorCache
-from robot_node.controllers import (
-    Command,
-    Controller,
-    ControllerParts,
-    LocallyAssisted,
-    MakeController,
-    PurelyRemote,
-    Source,
-)
-from robot_node.corrected import LocallyCorrected
-from robot_node.onboard import (
-    ModelledComputer,
-    OnBoard,
-    OnBoardComputer,
-    OnBoardRefresh,
-    OnBoardWindow,
-    on_board_solve,
-)
+from robot_node.controllers import Command, ControllerParts, MakeController, make_controller
+from robot_node.onboard import MakeSolve, ModelledComputer, OnBoardComputer, StartComputer
 from robot_node.plant import MujocoPlant, Plant
 from robot_node.rigid_plant import RigidPlant
 from robot_node.safety import JointHold, RungChange, TorqueGuard, has_fallen
@@ -42,40 +25,18 @@ from shared.config import RunConfig
 from shared.motion.reference import Motion, Reference
 from shared.quantities import parse_push
 from shared.robots import Foot, Robot
-from shared.telemetry import Schema, tick_schema
+from shared.telemetry import Schema, Source, tick_schema
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.stack import make_stacks
 from shared.wire.codec import Codec
 from shared.wire.messages import RobotState
 
 
-def needs_on_board_computer(config: RunConfig, motion: Motion) -> bool:
-    """Whether this run computes on the robot: LA around contact switches, LC if it has a budget."""
-    if config.controller == "lc":
-        return config.correction.on_board_budget > 0.0
-    switch = config.switch
-    wanted = switch.prepare_on_board or switch.solve_on_board
-    return config.controller == "la" and wanted and motion.next_switch(0) is not None
-
-
-def make_controller(parts: ControllerParts) -> Controller:
-    """The controller that `parts.config.controller` names."""
-    codec, session = parts.codec, parts.session
-    if parts.config.controller == "pr":
-        return PurelyRemote(ProjectorCache(codec, session=session))
-    if parts.config.controller == "la":
-        cache = ProjectorCache(codec, session=session)
-        return LocallyAssisted(cache, parts.model, parts.stacks)
-    correction = parts.config.correction
-    factorisations = FactorisationCache(
-        codec, parts.stacks, session=session, level=correction.level
-    )
-    return LocallyCorrected(factorisations, parts.model, parts.stacks, correction)
-
-
 class RobotNode:
-    """Simulated robot and local controller. `session` names this start of the robot; `computer`
-    is the on-board one, by default one whose compute time is modelled.
+    """Simulated robot and local controller.
+
+    `session` names this start of the robot. `start_computer` starts the on-board computer if the
+    controller asks for one, by default one whose compute time is modelled.
     """
 
     def __init__(
@@ -85,7 +46,7 @@ class RobotNode:
         motion: Motion,
         *,
         session: int | None = None,
-        computer: OnBoardComputer | None = None,
+        start_computer: StartComputer | None = None,
         make_controller: MakeController = make_controller,
     ) -> None:
         self.schema: Schema = tick_schema(nq=robot.model.nq, nv=robot.model.nv)
@@ -103,17 +64,26 @@ class RobotNode:
         self.tick_row = TickRow(self.schema, self._model, stacks)
         self._session = new_session() if session is None else session
         self._codec = Codec(robot, config, motion)
+
+        def model_computer(make_solve: MakeSolve) -> OnBoardComputer:
+            ready_after_ns = config.switch.ready_after_ns(config.switch.compute_ns)
+            return ModelledComputer(
+                make_solve(robot, config, motion), ready_after_ns=ready_after_ns
+            )
+
         self.controller = make_controller(
-            ControllerParts(config, self._codec, self._session, self._model, stacks)
+            ControllerParts(
+                config=config,
+                motion=motion,
+                codec=self._codec,
+                session=self._session,
+                model=self._model,
+                stacks=stacks,
+                start_computer=start_computer or model_computer,
+            )
         )
-        self.cache: AnswerCache = self.controller.cache
-        self.on_board: OnBoard | None = None
-        if needs_on_board_computer(config, motion):
-            if computer is None:
-                ready_after_ns = config.switch.ready_after_ns(config.switch.compute_ns)
-                solve = on_board_solve(robot, config, motion)
-                computer = ModelledComputer(solve, ready_after_ns=ready_after_ns)
-            self.on_board = self._make_on_board(computer)
+        self.cache = self.controller.cache
+        self.on_board = self.controller.on_board
         self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
         self._rung_change = RungChange(self._guard)
         self._last_rung = Source.HELD
@@ -126,11 +96,6 @@ class RobotNode:
         self._q: np.ndarray
         self._v: np.ndarray
         self._reference: Reference
-
-    @property
-    def waits_for_answers(self) -> bool:
-        """Whether every state is answered, so that waiting d* for it may be worth it."""
-        return self.controller.ages
 
     def measure(self, now_ns: int) -> bytes:
         """First phase: sense, observe, and return the state message to send."""
@@ -164,7 +129,7 @@ class RobotNode:
         if decision is None:
             return self._held(age_ns=-1)
         age_ns = now_ns - decision.stamp_ns
-        if self.controller.ages and age_ns > self._hold_after_ns:
+        if self.controller.answers_expire and age_ns > self._hold_after_ns:
             return self._held(age_ns=age_ns)
         safe = self._guard.accept(decision.tau)
         if safe is None:
@@ -173,7 +138,7 @@ class RobotNode:
         source = Source.FRESH if decision.sequence == self.tick else decision.source
         if self._stopping and source is not Source.CACHED:
             source = Source.STOPPING
-        if self.controller.doubtful:
+        if self.controller.should_stop():
             self._stop_walking()
         return Command(self._bounded(safe, source), source, age_ns, decision)
 
@@ -236,11 +201,11 @@ class RobotNode:
             self._stopping = self._motion is not before
 
     def _bounded(self, tau: np.ndarray, source: Source) -> np.ndarray:
-        """The torque without a jump where a correcting robot goes to another rung of its ladder.
+        """The torque, without a jump to another rung of the ladder if the controller wants none.
 
         Fresh, corrected and on-board answers are one rung: they meet in the same solution.
         """
-        if not self.running or self.controller.ages:
+        if not (self.running and self.controller.bounds_torque_steps):
             return tau
         rung = source if source in (Source.HELD, Source.CACHED) else Source.FRESH
         changed, self._last_rung = rung is not self._last_rung, rung
@@ -264,12 +229,3 @@ class RobotNode:
         if self._config.plant.kind == "rigid":
             return RigidPlant(robot, timestep=timestep)
         return MujocoPlant(robot, self._config.plant, timestep=timestep)
-
-    def _make_on_board(self, computer: OnBoardComputer) -> OnBoard:
-        controller = self.controller
-        if isinstance(controller, LocallyCorrected):
-            return OnBoardRefresh(
-                self._config, computer, controller.cache, lambda: controller.wants_refresh
-            )
-        assert isinstance(self.cache, ProjectorCache)
-        return OnBoardWindow(self._config.switch, self._motion, computer, self.cache)

@@ -24,22 +24,30 @@ from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Factorisation
 from shared.wbc.whole_body import TimedProjector, WholeBodyController
 
-# What an on-board computer computes at (q, v): a projector for a task time, or the factorisation of
-# a contact mode.
+# What an on-board computer computes at (q, v) for a target.
 Solve = Callable[[np.ndarray, np.ndarray, int], Any]
+# Makes it, wherever the computer is: in a process of its own it is named by its module.
+MakeSolve = Callable[[Robot, RunConfig, Motion], Solve]
 
 
-def on_board_solve(robot: Robot, config: RunConfig, motion: Motion) -> Solve:
-    """What the on-board computer of this run is for, wherever it runs."""
+def projector_solve(robot: Robot, config: RunConfig, motion: Motion) -> Solve:
+    """A projector for the contact mode of a task time [ns]."""
     controller = WholeBodyController(robot, config.wbc, motion)
 
     def project(q: np.ndarray, v: np.ndarray, time_ns: int) -> TimedProjector | None:
         return controller.projector_for(q, v, time_ns=time_ns)
 
+    return project
+
+
+def factorisation_solve(robot: Robot, config: RunConfig, motion: Motion) -> Solve:
+    """The factorisation of a contact mode, by its number."""
+    controller = WholeBodyController(robot, config.wbc, motion)
+
     def factorise(q: np.ndarray, v: np.ndarray, mode: int) -> tuple[Factorisation, ...] | None:
         return controller.factorise(q, (ContactMode(mode),), damping=config.correction.damping)
 
-    return factorise if config.controller == "lc" else project
+    return factorise
 
 
 class OnBoardComputer(Protocol):
@@ -60,6 +68,10 @@ class OnBoardComputer(Protocol):
     def close(self) -> None:
         """End it."""
         ...
+
+
+# Starts a computer for what is to be solved.
+StartComputer = Callable[[MakeSolve], OnBoardComputer]
 
 
 class ModelledComputer:

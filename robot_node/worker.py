@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_node.onboard import on_board_solve
+from robot_node.onboard import MakeSolve
 from shared.config import RunConfig
 from shared.errors import LinkError
 
@@ -28,10 +28,12 @@ _PRIORITY = 15
 class WorkerComputer:
     """An `OnBoardComputer` in a process. `LinkError` if it does not start."""
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: RunConfig, make_solve: MakeSolve) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, config), daemon=True)
+        self._process = context.Process(
+            target=_serve, args=(theirs, config, make_solve), daemon=True
+        )
         self._process.start()
         theirs.close()
         if not self._pipe.poll(_START_SECONDS):
@@ -60,7 +62,7 @@ class WorkerComputer:
             self._process.kill()
 
 
-def _serve(pipe: Connection, config: RunConfig) -> None:
+def _serve(pipe: Connection, config: RunConfig, make_solve: MakeSolve) -> None:
     """The worker: answers jobs until the pipe closes."""
     import signal
 
@@ -71,8 +73,7 @@ def _serve(pipe: Connection, config: RunConfig) -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     robot = load_robot(config.robot.name)
-    motion = make_motion(robot, config)
-    solve = on_board_solve(robot, config, motion)
+    solve = make_solve(robot, config, make_motion(robot, config))
     prepare(priority=_PRIORITY)
     suspend_garbage_collection()
     pipe.send("ready")

@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from shared.config import COM_PLANS, CONTROLLERS, TASKS, VIEWS, RunConfig
+from shared.config import COM_PLANS, TASKS, VIEWS, RunConfig
+from shared.controllers import CONTROLLERS
 from shared.entry import EXIT_ERROR, EXIT_INTERRUPTED, end_at_interrupt
 from shared.errors import ConfigError, UserError
 from shared.quantities import parse_angle, parse_duration_ns

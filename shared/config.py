@@ -11,11 +11,11 @@ import hashlib
 import math
 from dataclasses import dataclass, field
 
+from shared.controllers import CONTROLLERS
 from shared.errors import ConfigError
 from shared.quantities import parse_outage, parse_push
 
 TASKS = ("balance", "walk")
-CONTROLLERS = ("la", "lc", "pr")
 CORRECTION_LEVELS = ("b", "b_adjoint", "c")
 COM_PLANS = ("dcm", "mpc")
 PLANTS = ("mujoco", "rigid")
@@ -259,7 +259,7 @@ class RunConfig:
 
     def __post_init__(self) -> None:
         _one_of("task", self.task, TASKS)
-        _one_of("controller", self.controller, CONTROLLERS)
+        _one_of("controller", self.controller, tuple(CONTROLLERS))
         _one_of("view", self.view, VIEWS)
         _one_of("walk.com_plan", self.walk.com_plan, COM_PLANS)
         _one_of("plant.kind", self.plant.kind, PLANTS)

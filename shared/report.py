@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from shared.config import RunConfig
+from shared.controllers import CONTROLLERS
 from shared.metrics import (
     active_set_discrepancy,
     by_cardinality,
@@ -23,10 +24,9 @@ from shared.metrics import (
     true_active_sets,
 )
 from shared.native_libraries import instruction_set
-from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema
+from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema, Source
 
 DIRECTIONS = ("uplink", "downlink")
-SOURCES = ("fresh", "cached", "held", "on_board", "corrected", "stopping")
 _ERRORS = ("com_error_m", "contact_violation_m_s2")
 _PACKAGES = (
     "eclipse-zenoh",
@@ -111,7 +111,7 @@ def robot_report(
         "foot_slip_mm": quantiles(stance_slips(schema, rows) * 1e3),
         "switch_to_fresh_ms": {**quantiles(waits), "never": int(np.isnan(waits).sum())},
         "on_board_qps": int(column("on_board_qps")[-1]) if len(rows) else 0,
-        "commands": {name: int(np.sum(source == k)) for k, name in enumerate(SOURCES)},
+        "commands": {each.label: int(np.sum(source == each)) for each in Source},
         "projector_age_ms": quantiles(age_ms[age_ms >= 0]),
         "robot_tick_ms": quantiles(column("tick_ns") * 1e-6),
         "tick_lateness_ms": quantiles(column("late_ns") * 1e-6),
@@ -263,7 +263,7 @@ def summary_in_words(summary: dict[str, Any]) -> str:
         # A robot that corrects has no use for a fresh projector at a switch.
         waited = (
             ""
-            if summary["controller"] == "lc"
+            if CONTROLLERS[summary["controller"]].corrects
             else f"contact switch to first fresh projector p50 {_number(wait['p50'], 'ms')}, max "
             f"{_number(wait['max'], 'ms')}, not in time {wait['never']} ×; "
         )

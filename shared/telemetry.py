@@ -9,6 +9,7 @@ stay in memory.
 from __future__ import annotations
 
 import contextlib
+import enum
 import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +24,26 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 BLOCK_ROWS = 100
+
+
+class Source(enum.IntEnum):
+    """Where a command came from.
+
+    This tick's answer, an older one as it is, nowhere (the joints are held), the robot's own
+    computer, an older answer corrected, or the same while the robot ends its walk.
+    """
+
+    FRESH = 0
+    CACHED = 1
+    HELD = 2
+    ON_BOARD = 3
+    CORRECTED = 4
+    STOPPING = 5
+
+    @property
+    def label(self) -> str:
+        """Its name in summaries, in the terminal and in the view."""
+        return self.name.lower()
 
 
 @dataclass(frozen=True)
@@ -53,7 +74,7 @@ class Schema:
 
 
 # One row per tick of the robot. Times in ns: `time_ns` of the task (negative while waiting for the
-# edge), `wall_ns` of the robot's clock. `source` is the index in `robot_node.controllers.Source`.
+# edge), `wall_ns` of the robot's clock. `source` is a `Source`.
 # `q`, `v` true state, Pinocchio order; `f` commanded forces at the four points of both soles, zero
 # where unloaded [N].
 # `foot_slip_m` of the left and right foot since it was loaded, NaN in the air. `active_set` and

@@ -14,6 +14,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from shared.config import RunConfig
+from shared.controllers import CONTROLLERS
 from shared.robots import load_robot
 from viewer.plots import (
     ACTIVE_SET_HEIGHTS,
@@ -37,7 +38,7 @@ _HEIGHT, _WIDTH = 1.75, 0.6
 def layout(config: RunConfig, *, live: bool, picture: bool = False) -> rrb.Blueprint:
     """The blueprint of a live view, of a finished recording, or of a picture of one."""
     correction = _plot("Correction (LC)", "plots/correction", legend=_LEFT, live=live)
-    corrected = config.controller == "lc"
+    corrected = CONTROLLERS[config.controller].corrects
     return _blueprint(
         _robot_view([config]),
         rrb.Vertical(

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.outages import OUTAGE, PASSING, SILENT
-from shared.report import SOURCES
 from shared.robots import Foot
-from shared.telemetry import Schema
+from shared.telemetry import Schema, Source
 from shared.wbc.contacts import ROWS_PER_FOOT, ROWS_PER_POINT, ContactMode
 from viewer.track import Colour
 
@@ -64,9 +63,15 @@ LINKS = (
 )
 _LINK_STATES: dict[str, Colour] = {PASSING: (38, 70, 54), OUTAGE: RED, SILENT: (70, 74, 82)}
 LINK_LANES = (Lane("lanes/uplink", _LINK_STATES), Lane("lanes/downlink", _LINK_STATES))
-# In the order of `SOURCES`: fresh, cached, held, on board, corrected, stopping.
-_SOURCE_COLOURS: tuple[Colour, ...] = (GREEN, BLUE, RED, PURPLE, (52, 128, 140), ORANGE)
-SOURCE_LANE = Lane("lanes/command", dict(zip(SOURCES, _SOURCE_COLOURS, strict=True)))
+_SOURCE_COLOURS: dict[Source, Colour] = {
+    Source.FRESH: GREEN,
+    Source.CACHED: BLUE,
+    Source.HELD: RED,
+    Source.ON_BOARD: PURPLE,
+    Source.CORRECTED: (52, 128, 140),
+    Source.STOPPING: ORANGE,
+}
+SOURCE_LANE = Lane("lanes/command", {each.label: _SOURCE_COLOURS[each] for each in Source})
 MODE_NAMES = {
     ContactMode.DOUBLE_SUPPORT: "both feet",
     ContactMode.LEFT_SUPPORT: "left foot",

@@ -13,9 +13,8 @@ import rerun as rr
 
 from shared.config import RunConfig
 from shared.motion.plan import make_motion
-from shared.report import SOURCES
 from shared.robots import Robot
-from shared.telemetry import Schema
+from shared.telemetry import Schema, Source
 from shared.wbc.contacts import ContactMode
 from viewer.ghost import Ghost
 from viewer.meshes import LinkMesh
@@ -36,7 +35,6 @@ PUSH_CLEARANCE = 0.2
 ABOVE_GROUND = np.array([0.0, 0.0, 0.002])
 # A force is at its limit when it uses this part of its friction.
 AT_LIMIT = 0.99
-_STOPPING = SOURCES.index("stopping")
 
 
 class World:
@@ -92,7 +90,7 @@ class World:
         placements = []
         sources = schema.column(rows, "source").astype(int)
         for time_ns, source in zip(instants.task_ns.tolist(), sources, strict=True):
-            if source == _STOPPING:
+            if source == Source.STOPPING:
                 self._ghost.stop(time_ns)
             placements.append(self._pose.joints(self._ghost.posture(time_ns)))
         self._log_joints("ghost_joints", placements, self._ghost_frames, instants)

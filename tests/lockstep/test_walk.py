@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from netem.profile import LOST
-from robot_node.controllers import Source
+from shared.telemetry import Source
 
 MS = 1_000_000
 

@@ -9,12 +9,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from robot_node.cache import FactorisationCache
-from robot_node.controllers import Source
+from robot_node.controllers import ControllerParts
 from robot_node.corrected import Contraction, LocallyCorrected
-from shared.config import CorrectionConfig
 from shared.robots import Foot
 from shared.robots.description import sole_frame_name
+from shared.telemetry import Source
 from shared.wbc.contacts import FORCES_PER_FOOT, ContactMode
 from shared.wbc.correction import Corrector, Iterate, factorise_kkt
 from shared.wbc.projector import full_problem
@@ -237,18 +236,16 @@ def test_a_row_tells_what_the_tick_did(bench):
 class ByHand:
     """A controller with a factorisation of every mode, some 0.05 rad away from a state."""
 
-    def __init__(self, model, stacks, codec, states, **settings):
-        self.model, self.stacks = model, stacks
+    def __init__(self, parts, states):
+        self.model, self.stacks = model, stacks = parts.model, parts.stacks
         self.q, self.v = states[1]
-        cache = FactorisationCache(codec, stacks, session=SESSION, level="b")
         jacobians = model.jacobians(states[5].q)
         made = tuple(
             factorise_kkt(stack, stack.matrices(jacobians), states[5].q[7:])
             for stack in stacks.values()
         )
-        cache.keep(made, sequence=0, stamp_ns=0)
-        config = CorrectionConfig(**settings)
-        self.controller = LocallyCorrected(cache, model, stacks, config)
+        self.controller = LocallyCorrected(parts)
+        self.controller.cache.keep(made, sequence=0, stamp_ns=0)
         self.correctors = {
             each.mode: Corrector(stacks[each.mode], each, level="b") for each in made
         }
@@ -270,10 +267,18 @@ class ByHand:
 
 @pytest.fixture
 def by_hand(robot, motion, configured, model, stacks, states):
-    codec = Codec(robot, configured(), motion)
-
     def build(**settings):
-        return ByHand(model, stacks, codec, states, **settings)
+        config = configured(**{f"correction.{name}": value for name, value in settings.items()})
+        parts = ControllerParts(
+            config=config,
+            motion=motion,
+            codec=Codec(robot, config, motion),
+            session=SESSION,
+            model=model,
+            stacks=stacks,
+            start_computer=lambda make_solve: pytest.fail("no budget for an on-board computer"),
+        )
+        return ByHand(parts, states)
 
     return build
 

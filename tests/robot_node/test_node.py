@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from edge_node.node import EdgeNode
-from robot_node.controllers import Source
 from robot_node.node import RobotNode
 from robot_node.safety import JointHold, TorqueGuard
 from robot_node.tick import Tick
+from shared.telemetry import Source
 from shared.wire.codec import Codec
 from shared.wire.messages import TimedProjector
 from tests.messages import altered, make_state
