@@ -15,7 +15,8 @@ def begin(name: str) -> None:
     """Make this process independent of its caller's environment, if `name` is `__main__`.
 
     Python starts again in isolated mode (`-I`) if it is not in it: without the current folder,
-    PYTHONPATH and other PYTHON… variables, and the user's own packages. Then `shared.entry.enter`.
+    PYTHONPATH and other PYTHON… variables, and the user's own packages. Then
+    `shared.process.entry.enter`.
     """
     if name != "__main__":
         return
@@ -26,7 +27,7 @@ def begin(name: str) -> None:
         # A Ctrl-C that comes while Python starts is kept until it can be answered.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         os.execv(sys.executable, [sys.executable, "-I", *sys.orig_argv[1:]])
-    from shared.entry import enter
+    from shared.process.entry import enter
 
     enter()
 

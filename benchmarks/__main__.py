@@ -11,8 +11,9 @@ import signal
 import sys
 
 from benchmarks import capacity, core, lockstep, netem, viewer
-from shared.cli import EXIT_STANDING, Command, run, run_command
+from benchmarks.real_path.measure import add_real_path_arguments, run_real_path
 from shared.errors import ConfigError
+from shared.process.cli import EXIT_STANDING, Command, run, run_command
 
 
 def _add_core_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,6 +88,12 @@ _COMMANDS = (
     Command("core", "where the time goes", _add_core_arguments, _run_core),
     Command("lockstep", "speed of a trial", _add_lockstep_arguments, _run_lockstep),
     Command("netem", "how exactly the link is emulated", _add_netem_arguments, _run_netem),
+    Command(
+        "real-path",
+        "two namespaces and a slow cable, as root",
+        add_real_path_arguments,
+        run_real_path,
+    ),
     Command("viewer", "whether watching disturbs the robot", _add_viewer_arguments, _run_viewer),
 )
 

@@ -17,10 +17,10 @@ from benchmarks.timing import Timing, header, measure, table
 from edge_node.node import EdgeNode
 from experiments.lockstep import Lockstep
 from robot_node.node import RobotNode
-from shared.config import CORRECTION_LEVELS, RunConfig
-from shared.config_file import load_config
-from shared.controllers import CONTROLLERS
-from shared.motion.reference import Standing
+from shared.config.config_file import load_config
+from shared.config.controllers import CONTROLLERS
+from shared.config.settings import CORRECTION_LEVELS, RunConfig
+from shared.motion.standing import Standing
 from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Corrector, Factorisation, Iterate, factorise_kkt

@@ -21,11 +21,11 @@ import numpy as np
 
 from shared.bus.base import Delivery, Inbox, Publisher
 from shared.bus.zenoh_bus import ZenohBus
-from shared.cli import EXIT_STANDING, Parser, run
 from shared.clock import Ticker, sleep_until
-from shared.config import RobotConfig
-from shared.realtime import prepare, suspend_garbage_collection
-from shared.service import StopSignal
+from shared.config.settings import RobotConfig
+from shared.process.cli import EXIT_STANDING, Parser, run
+from shared.process.realtime import prepare, suspend_garbage_collection
+from shared.process.service import StopSignal
 from shared.wire.channels import DOWNLINK, UPLINK
 
 _PERIOD_NS = 1_000_000

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from netem.tun import DEVICE, EDGE_ADDRESS, ROBOT_ADDRESS, why_not_permitted
-from shared.entry import python
 from shared.errors import LinkError
+from shared.process.entry import python
 
 _READY_SECONDS = 60.0
 _END_SECONDS = 30.0

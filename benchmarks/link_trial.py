@@ -13,7 +13,8 @@ import numpy as np
 
 from benchmarks.link_end import ARRIVED, ECHOED, SENT, SEQUENCE
 from benchmarks.link_paths import LinkPath, Started, started
-from shared.telemetry import LINK_SCHEMA, read_parquet
+from shared.telemetry.parquet import read_parquet
+from shared.telemetry.schema import LINK_SCHEMA
 
 _UP_BYTES, _DOWN_BYTES = 1_000, 40_000
 _SETTLE_SECONDS = 1.0

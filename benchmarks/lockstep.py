@@ -23,9 +23,9 @@ import numpy as np
 from benchmarks.timing import header
 from experiments.lockstep import Lockstep
 from experiments.reproduction.timed_walk import timed
-from shared.config import TASKS
-from shared.config_file import load_config
-from shared.text_table import aligned
+from shared.config.config_file import load_config
+from shared.config.settings import TASKS
+from shared.output.text_table import aligned
 
 _NETWORK = "constant:25ms"
 _CONTROLLERS = ("pr", "la", "lc")

@@ -31,8 +31,8 @@ from benchmarks.link_trial import Open, Trial, run_trial, way_errors
 from benchmarks.timing import cores_busy, machine
 from netem.profile import DIRECTIONS
 from netem.tun import why_not_permitted
-from shared.entry import python
-from shared.report import versions
+from shared.output.versions import versions
+from shared.process.entry import python
 
 _LOADS = ("idle", "loaded")
 # Half of a constant:20ms.

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from shared.report import cpu_name, versions
+from shared.output.versions import cpu_name, versions
 
 _WARM_UP = 50
 

@@ -24,14 +24,14 @@ import numpy as np
 
 from benchmarks.link_paths import end_with_parent
 from benchmarks.timing import cores_busy, machine
+from deploy.background.state import READY, StackFolder
 from deploy.plan import VIEWER
-from deploy.state import READY, StackFolder
-from shared.entry import python
 from shared.errors import ConfigError, LinkError
-from shared.metrics import in_task
-from shared.report import versions
-from shared.telemetry import read_parquet
-from shared.text_table import aligned
+from shared.output.text_table import aligned
+from shared.output.versions import versions
+from shared.process.entry import python
+from shared.telemetry.metrics import in_task
+from shared.telemetry.parquet import read_parquet
 
 _NETWORK = "constant:20ms"
 # After everything is ready [s]: by then the robot has begun.

@@ -20,8 +20,8 @@ from pathlib import Path
 
 from deploy.services import FAILURE, Service, load_services
 from deploy.supervisor import Launch, Supervisor
-from shared.cli import Parser, run
-from shared.entry import python
+from shared.process.cli import Parser, run
+from shared.process.entry import python
 
 READY_FILE = Path("/tmp/ready")
 

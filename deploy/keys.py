@@ -33,9 +33,9 @@ from shared.bus.security import (
     key_file,
     robot_role,
 )
-from shared.cli import EXIT_STANDING, Parser, run
-from shared.config import RobotConfig
+from shared.config.settings import RobotConfig
 from shared.errors import ConfigError
+from shared.process.cli import EXIT_STANDING, Parser, run
 
 LISTENERS = (EDGE, NETEM, ROUTER)
 THIS_MACHINE = ("localhost", "127.0.0.1", "::1")

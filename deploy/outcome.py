@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from shared.config import RunConfig
-from shared.entry import python
-from shared.report import discrepancy_report, edge_report, link_report, summary
-from shared.telemetry import read_parquet
+from shared.config.settings import RunConfig
+from shared.output.report import discrepancy_report, edge_report, link_report, summary
+from shared.process.entry import python
+from shared.telemetry.parquet import read_parquet
 
 SUMMARY = "summary.json"
 _ROBOT, _EDGE, _LINK = "telemetry", "edge", "link"

@@ -20,8 +20,8 @@ import time
 
 from shared.bus.security import ROUTER, Credentials
 from shared.bus.zenoh_bus import ZenohBus
-from shared.cli import EXIT_STANDING, Parser, run
-from shared.service import StopSignal, add_secure_argument
+from shared.process.cli import EXIT_STANDING, Parser, run
+from shared.process.service import StopSignal, add_secure_argument
 from shared.wire.channels import DOWNLINK
 
 _ENDPOINT = "tcp/127.0.0.1:7447"

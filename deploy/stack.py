@@ -14,13 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deploy.detach import tell_ready
-from deploy.orders import OrderDesk
-from deploy.outcome import keep_report, record, summarise
-from deploy.plan import ROBOT, VIEWER, Plan, Step
-from deploy.registry import Registry
-from deploy.services import IGNORED, OUTCOME, Service
-from deploy.state import (
+from deploy.background.control_server import OrderDesk
+from deploy.background.detach import tell_ready
+from deploy.background.registry import Registry
+from deploy.background.state import (
     ENDED,
     READY,
     STARTING,
@@ -30,14 +27,17 @@ from deploy.state import (
     StackState,
     exit_in_words,
 )
+from deploy.console.terminal import Terminal
+from deploy.console.watch import open_hub, status_of, tell
+from deploy.outcome import keep_report, record, summarise
+from deploy.plan import ROBOT, VIEWER, Plan, Step
+from deploy.services import IGNORED, OUTCOME, Service
 from deploy.supervisor import Launch, Supervisor
-from deploy.terminal import Terminal
-from deploy.watch import open_hub, status_of, tell
-from shared.cli import EXIT_ERROR, EXIT_FELL, EXIT_INTERRUPTED, EXIT_STANDING
-from shared.config import RunConfig
-from shared.entry import python
+from shared.config.settings import RunConfig
 from shared.errors import LinkError, UserError
-from shared.report import summary_in_words
+from shared.output.report import summary_in_words
+from shared.process.cli import EXIT_ERROR, EXIT_FELL, EXIT_INTERRUPTED, EXIT_STANDING
+from shared.process.entry import python
 
 _STATUS_SECONDS = 0.1
 

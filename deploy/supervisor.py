@@ -12,9 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from deploy.process import kill_group, start_process, terminate
-from deploy.services import IGNORED, OUTCOME, Service
-from deploy.state import (
+from deploy.background.state import (
     ENDED,
     READY,
     STARTING,
@@ -23,6 +21,8 @@ from deploy.state import (
     ServiceState,
     exit_in_words,
 )
+from deploy.process import kill_group, start_process, terminate
+from deploy.services import IGNORED, OUTCOME, Service
 from shared.errors import ConfigError, LinkError
 
 

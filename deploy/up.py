@@ -19,7 +19,8 @@ import socket
 import time
 from pathlib import Path
 
-from deploy.detach import in_background
+from deploy.background.detach import in_background
+from deploy.background.registry import Registry
 from deploy.plan import (
     NETEM,
     ROBOT,
@@ -30,19 +31,18 @@ from deploy.plan import (
     make_plan,
     services_of,
 )
-from deploy.registry import Registry
 from deploy.services import Service, load_services
 from deploy.stack import Run, Stack
 from netem.networks import load_network
-from shared.cli import Parser, add_run_arguments, add_view_argument, config_from, run
-from shared.config import RunConfig
-from shared.config_file import dump_config
+from shared.config.config_file import dump_config
+from shared.config.settings import RunConfig
 from shared.errors import ConfigError, LinkError
 from shared.motion.plan import make_motion
-from shared.report import versions
+from shared.output.screen import has_screen
+from shared.output.versions import versions
+from shared.process.cli import Parser, add_run_arguments, add_view_argument, config_from, run
+from shared.process.service import add_identity_arguments
 from shared.robots import load_robot
-from shared.screen import has_screen
-from shared.service import add_identity_arguments
 
 
 def main() -> int:

@@ -8,24 +8,24 @@ begin(__name__)
 
 import time
 
+from edge_node.client_monitor import Visits
 from edge_node.node import EdgeNode
-from edge_node.visits import Visits
 from shared.bus.base import Inbox
 from shared.bus.security import EDGE
 from shared.bus.zenoh_bus import ZenohBus
-from shared.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
 from shared.motion.plan import make_motion
-from shared.realtime import prepare, suspend_garbage_collection
-from shared.report import edge_report
-from shared.robots import load_robot
-from shared.service import (
+from shared.output.report import edge_report
+from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
+from shared.process.realtime import prepare, suspend_garbage_collection
+from shared.process.service import (
     EDGE_ENDPOINT,
     ServiceLog,
     StopSignal,
     add_service_arguments,
     identity_from,
 )
-from shared.telemetry import SOLVE_SCHEMA
+from shared.robots import load_robot
+from shared.telemetry.schema import SOLVE_SCHEMA
 from shared.wire.channels import DOWNLINK, SOLVES_KEY, UPLINK
 
 _PRIORITY = 10

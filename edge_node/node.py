@@ -14,13 +14,13 @@ import numpy as np
 from edge_node.posture import PostureEstimate
 from edge_node.refresh import FactorisationRefresh
 from shared.bus.base import RefusalCounter
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
-from shared.motion.reference import Motion, coming_switches
 from shared.robots import Robot
-from shared.telemetry import SOLVE_SCHEMA
+from shared.telemetry.schema import SOLVE_SCHEMA
 from shared.wbc.projector import WholeBodySolution
 from shared.wbc.qp import QpStatus
+from shared.wbc.reference import Motion, coming_switches
 from shared.wbc.torque import recover_torque
 from shared.wbc.whole_body import TimedProjector, WholeBodyController
 from shared.wire.codec import Codec

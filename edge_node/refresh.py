@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.config import CorrectionConfig
-from shared.motion.reference import Motion
+from shared.config.settings import CorrectionConfig
 from shared.wbc.contacts import ContactMode
+from shared.wbc.reference import Motion
 from shared.wire.messages import RobotState
 
 _MAX_BACKOFF = 16.0

@@ -15,9 +15,9 @@ import numpy as np
 from experiments.lockstep import Lockstep, TrialResult
 from robot_node.cache import ProjectorCache
 from robot_node.controllers import Controller, ControllerParts, Decision
-from shared.config_file import load_config
-from shared.motion.reference import Reference
-from shared.telemetry import Source
+from shared.config.config_file import load_config
+from shared.telemetry.schema import Source
+from shared.wbc.reference import Reference
 from shared.wbc.torque import recover_torque
 
 

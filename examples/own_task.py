@@ -3,7 +3,7 @@
     python -m examples.own_task
 
 A task is a motion: the reference of CoM, trunk, posture and feet at every time, which both ends of
-the link derive for themselves; see `shared.motion.reference.Motion`.
+the link derive for themselves; see `shared.wbc.reference.Motion`.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ import math
 import numpy as np
 
 from experiments.lockstep import Lockstep, TrialResult
-from shared.config import RunConfig
-from shared.config_file import load_config
-from shared.motion.reference import Reference, Standing, motion_digest
+from shared.config.config_file import load_config
+from shared.config.settings import RunConfig
+from shared.motion.digest import motion_digest
+from shared.motion.standing import Standing
 from shared.robots import Robot
+from shared.wbc.reference import Reference
 
 DEPTH, PERIOD = 0.06, 2.0  # m, s
 

@@ -17,7 +17,7 @@ from experiments.lockstep import Lockstep, TrialResult
 from netem.profile import LOST, DelayProfile
 from netem.profile_file import read_profile, write_profile
 from netem.statistics import delays_ms, outages
-from shared.config_file import load_config
+from shared.config.config_file import load_config
 
 
 def my_link() -> DelayProfile:

@@ -3,9 +3,9 @@
     python -m examples.sweep
 
 A study is a table of settings, here a dict, in `experiments/configs/` a TOML file; every cell of
-its grid is played with the same seeds. `experiments/study.py` describes all keys. What has been
-played is kept: interrupt it, and the same command goes on. From the command line the same is
-`python -m experiments sweep FILE.toml`.
+its grid is played with the same seeds. `experiments/studies/study_file.py` describes all keys.
+What has been played is kept: interrupt it, and the same command goes on. From the command line the
+same is `python -m experiments sweep FILE.toml`.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from experiments.study import make_study
-from experiments.sweep import sweep
-from experiments.trial_table import table_in_words
+from experiments.studies.study_file import make_study
+from experiments.studies.sweep import sweep
+from experiments.studies.trial_table import table_in_words
 
 STUDY: dict[str, Any] = {
     "name": "delays",

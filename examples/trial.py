@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.lockstep import Lockstep, TrialResult
-from shared.config_file import load_config
-from shared.report import summary_in_words
+from shared.config.config_file import load_config
+from shared.output.report import summary_in_words
 
 
 def play(controller: str, *, duration: float) -> TrialResult:

@@ -7,14 +7,14 @@ from remote_wbc import begin
 begin(__name__)
 
 from experiments.atlas import add_atlas_arguments, run_atlas
-from experiments.check import add_check_arguments, run_check
-from experiments.corrections import add_corrections_arguments, run_corrections
 from experiments.figure import add_figure_arguments, run_figure
 from experiments.reproduction.report import add_report_arguments, run_report
 from experiments.reproduction.run import add_run_arguments, run_reproduction
-from experiments.sweep import add_sweep_arguments, run_sweep
+from experiments.studies.check import add_check_arguments, run_check
+from experiments.studies.corrections import add_corrections_arguments, run_corrections
+from experiments.studies.sweep import add_sweep_arguments, run_sweep
 from experiments.trial import add_trial_arguments, run_trial
-from shared.cli import Command, run, run_command
+from shared.process.cli import Command, run, run_command
 
 _COMMANDS = (
     Command("trial", "play one run and print its summary", add_trial_arguments, run_trial),

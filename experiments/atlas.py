@@ -17,21 +17,21 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from experiments.dealing import Study
 from experiments.figure import FELL, draw_figure
-from experiments.study import make_study
-from experiments.study_tables import flattened
-from experiments.sweep import sweep, workers_from
-from experiments.trial_table import wilson_interval
-from experiments.workers import EXAMPLE
-from shared.cli import EXIT_STANDING
-from shared.config import TASKS, RunConfig
-from shared.config_file import load_config
-from shared.controllers import CONTROLLERS
+from experiments.studies.study import Study
+from experiments.studies.study_file import make_study
+from experiments.studies.study_tables import flattened
+from experiments.studies.sweep import sweep, workers_from
+from experiments.studies.trial_table import wilson_interval
+from experiments.studies.workers import EXAMPLE
+from shared.config.config_file import load_config
+from shared.config.controllers import CONTROLLERS
+from shared.config.quantities import parse_duration_ns, parse_push
+from shared.config.settings import TASKS, RunConfig
 from shared.errors import ConfigError
-from shared.quantities import parse_duration_ns, parse_push
+from shared.output.text_table import aligned
+from shared.process.cli import EXIT_STANDING
 from shared.robots import load_robot
-from shared.text_table import aligned
 
 DEFAULT_DELAYS = "0ms,10ms,25ms,50ms,90ms,150ms,200ms,400ms"
 # To the side, where the feet are long enough to show a margin; a walk meets it within its third

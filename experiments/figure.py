@@ -13,11 +13,11 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from experiments.dealing import value_in_words
-from experiments.trial_table import read_trials, wilson_interval
-from shared.cli import EXIT_STANDING
+from experiments.studies.study import value_in_words
+from experiments.studies.trial_table import read_trials, wilson_interval
 from shared.errors import ConfigError
-from shared.figure import save_figure
+from shared.output.figure import save_figure
+from shared.process.cli import EXIT_STANDING
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

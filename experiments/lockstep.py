@@ -29,12 +29,19 @@ from robot_node.tick import Tick
 from shared.bus.base import Delivery, Inbox
 from shared.bus.memory import MemoryBus
 from shared.clock import SimClock
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import LinkError
 from shared.motion.plan import MakeMotion, make_motion
-from shared.report import discrepancy_report, edge_report, link_report, robot_report, summary
+from shared.output.report import (
+    discrepancy_report,
+    edge_report,
+    link_report,
+    robot_report,
+    summary,
+)
 from shared.robots import load_robot
-from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, RowLog, Schema
+from shared.telemetry.row_log import RowLog
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.codec import Codec
 

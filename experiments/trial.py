@@ -8,12 +8,14 @@ import sys
 from pathlib import Path
 
 from experiments.lockstep import Lockstep, TrialResult
-from shared.cli import EXIT_FELL, EXIT_STANDING, add_run_arguments, config_from
-from shared.config import RunConfig
-from shared.config_file import dump_config
+from shared.config.config_file import dump_config
+from shared.config.settings import RunConfig
 from shared.errors import ConfigError
-from shared.report import summary_in_words, versions
-from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, write_parquet
+from shared.output.report import summary_in_words
+from shared.output.versions import versions
+from shared.process.cli import EXIT_FELL, EXIT_STANDING, add_run_arguments, config_from
+from shared.telemetry.parquet import write_parquet
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA
 
 
 def add_trial_arguments(parser: argparse.ArgumentParser) -> None:

@@ -20,7 +20,7 @@ from netem.inspect import (
 from netem.packets import add_packets_arguments, run_packets
 from netem.recorder.record import add_record_arguments, run_record
 from netem.replay import add_replay_arguments, run_replay
-from shared.cli import Command, run, run_command
+from shared.process.cli import Command, run, run_command
 
 _COMMANDS = (
     Command("list", "shipped profiles and what they are like", add_list_arguments, run_list),

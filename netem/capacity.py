@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from netem.profile import DIRECTIONS, LOST, DelayProfile, Source, start_offset_ns
+from netem.profile import DIRECTIONS, LOST, DelayProfile, DelaySource, start_offset_ns
 from shared.errors import ProfileError
 
 # An idle link carries that many times the recorded load: a message's own bytes then take little of
@@ -69,7 +69,7 @@ class CapacityProfile:
         """Of a message that finds the link idle [ns]."""
         return int(self.base_ns.sum())
 
-    def source(self, direction: int, *, queue_bytes: int) -> Source:
+    def source(self, direction: int, *, queue_bytes: int) -> DelaySource:
         """The delay of each message of one direction; it remembers what waits."""
         return _Queue(self, direction, queue_bytes).delay_ns
 

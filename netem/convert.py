@@ -27,9 +27,9 @@ from netem.importers.resample import to_profile
 from netem.profile import DIRECTIONS, LOST, DelayProfile
 from netem.profile_file import read_profile, write_profile
 from netem.statistics import delays_ms
-from shared.cli import EXIT_STANDING
+from shared.config.quantities import parse_duration_ns
 from shared.errors import ConfigError, ProfileError
-from shared.quantities import parse_duration_ns
+from shared.process.cli import EXIT_STANDING
 
 # Each flag's name, the field of `Options` that it sets, how it is written and what it is.
 _FLAGS: tuple[tuple[str, str, Callable[[str], Any], str, str], ...] = (

@@ -14,10 +14,9 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from netem.networks import Profile
-from netem.profile import DIRECTIONS, LOST
-from shared.config import LinkConfig
-from shared.quantities import Outage, parse_outage
+from netem.profile import DIRECTIONS, LOST, Profile
+from shared.config.quantities import Outage, parse_outage
+from shared.config.settings import LinkConfig
 
 Item = TypeVar("Item")
 

@@ -13,8 +13,8 @@ import numpy as np
 from netem.networks import load_profile, shipped_names
 from netem.profile import DIRECTIONS, LOST, DelayProfile
 from netem.statistics import LINKS, delays_ms, outages, statistics
-from shared.cli import EXIT_STANDING
 from shared.errors import ProfileError
+from shared.process.cli import EXIT_STANDING
 
 _NETWORK = "a shipped profile (factory/003), a .npz or .csv file, constant:30ms"
 _BARS = " ▁▂▃▄▅▆▇█"
@@ -158,7 +158,7 @@ def _plot(profile: DelayProfile, path: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    from shared.figure import save_figure
+    from shared.output.figure import save_figure
 
     capacities = [f"{way}_capacity_bytes" for way in DIRECTIONS]
     known = [name for name in capacities if name in profile.columns]

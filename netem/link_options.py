@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from shared.cli import add_run_arguments, config_from
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import ConfigError
+from shared.process.cli import add_run_arguments, config_from
 
 
 def add_link_arguments(parser: argparse.ArgumentParser) -> None:

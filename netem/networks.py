@@ -9,18 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from netem.capacity import CapacityProfile, capacity_of
+from netem.capacity import capacity_of
 from netem.generator.channel import SCENARIOS
 from netem.generator.generate import generate_profile
-from netem.profile import DelayProfile
+from netem.profile import DelayProfile, Profile
 from netem.profile_file import is_file, read_profile
+from shared.config.quantities import parse_duration_ns
 from shared.errors import ConfigError, ProfileError
-from shared.quantities import parse_duration_ns
 
 SHIPPED = Path(__file__).parent / "profiles"
 CAPACITY = "capacity:"
 GENERATED = "generated:"
-Profile = DelayProfile | CapacityProfile
 
 
 def load_network(network: str) -> Profile:

@@ -12,15 +12,15 @@ import dataclasses
 
 from netem.delay_line import make_lines
 from netem.link_options import add_link_arguments, link_config_from
-from netem.networks import Profile, load_network
+from netem.networks import load_network
 from netem.packet_pump import Way, pump, wait_for_packet
-from netem.profile import DIRECTIONS
+from netem.profile import DIRECTIONS, Profile
 from netem.tun import MAX_MTU, MIN_MTU, End, NamespacePair
-from shared.cli import EXIT_STANDING
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import ConfigError
-from shared.realtime import prepare, suspend_garbage_collection
-from shared.service import StopSignal
+from shared.process.cli import EXIT_STANDING
+from shared.process.realtime import prepare, suspend_garbage_collection
+from shared.process.service import StopSignal
 
 # Before the nodes: a packet that waits to be read waits in no profile.
 _PRIORITY = 40

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,7 +20,39 @@ DIRECTIONS = ("uplink", "downlink")
 PERIOD_NS = 1_000_000
 
 # Delay [ns] of a message of so many bytes sent so long [ns] after the profile began, or `LOST`.
-Source = Callable[[int, int], int]
+DelaySource = Callable[[int, int], int]
+
+
+class Profile(Protocol):
+    """What a link replays: the delays of messages, or the capacity that makes them."""
+
+    @property
+    def name(self) -> str:
+        """What `--network` names it by."""
+        ...
+
+    @property
+    def period_ns(self) -> int:
+        """How long one value holds [ns]."""
+        ...
+
+    @property
+    def duration_ns(self) -> int:
+        """Length of one pass [ns]."""
+        ...
+
+    @property
+    def nominal_round_trip_ns(self) -> int:
+        """Round trip of a message that meets nothing unusual [ns]."""
+        ...
+
+    def source(self, direction: int, *, queue_bytes: int) -> DelaySource:
+        """The delay of each message of one direction."""
+        ...
+
+    def start_offset_ns(self, seed: int) -> int:
+        """Where in the profile a run of this seed begins: a whole number of periods [ns]."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -48,7 +80,7 @@ class DelayProfile:
         index = (elapsed_ns // self.period_ns) % self.delays_ns.shape[1]
         return int(self.delays_ns[direction, index])
 
-    def source(self, direction: int, *, queue_bytes: int) -> Source:
+    def source(self, direction: int, *, queue_bytes: int) -> DelaySource:
         """The delay of each message of one direction, however large it is."""
         return lambda elapsed_ns, size: self.delay_ns(direction, elapsed_ns)
 

@@ -15,10 +15,10 @@ from netem.profile import UPLINK as UP
 from netem.shim import Shim, Sides
 from shared.bus.security import NETEM
 from shared.bus.zenoh_bus import ZenohBus, machine_clock
-from shared.cli import EXIT_STANDING
-from shared.realtime import prepare, suspend_garbage_collection
-from shared.report import link_report
-from shared.service import (
+from shared.output.report import link_report
+from shared.process.cli import EXIT_STANDING
+from shared.process.realtime import prepare, suspend_garbage_collection
+from shared.process.service import (
     EDGE_ENDPOINT,
     NETEM_ENDPOINT,
     ServiceLog,
@@ -26,7 +26,7 @@ from shared.service import (
     add_service_arguments,
     identity_from,
 )
-from shared.telemetry import LINK_SCHEMA
+from shared.telemetry.schema import LINK_SCHEMA
 from shared.wire.channels import DOWNLINK, LINK_KEY, UPLINK
 
 _PRIORITY = 20

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from netem.delay_line import DelayLine, Due, make_lines
-from netem.networks import Profile
+from netem.profile import Profile
 from shared.bus.base import Delivery, Publisher
-from shared.config import LinkConfig
-from shared.telemetry import LINK_SCHEMA
+from shared.config.settings import LinkConfig
+from shared.telemetry.schema import LINK_SCHEMA
 
 _IDLE_SECONDS = 0.1
 # A sleeping thread wakes some 60 µs late; that much is spun. More is taken from the edge

@@ -15,9 +15,12 @@ from robot_node.live import LiveLoop, Narrator
 from robot_node.node import RobotNode
 from robot_node.worker import WorkerComputer
 from shared.bus.base import Inbox
-from shared.bus.knock import knock
+from shared.bus.preflight import knock
 from shared.bus.zenoh_bus import ZenohBus
-from shared.cli import (
+from shared.errors import LinkError
+from shared.motion.plan import make_motion
+from shared.output.report import robot_report
+from shared.process.cli import (
     EXIT_FELL,
     EXIT_INTERRUPTED,
     EXIT_STANDING,
@@ -26,18 +29,15 @@ from shared.cli import (
     config_from,
     run,
 )
-from shared.errors import LinkError
-from shared.motion.plan import make_motion
-from shared.realtime import prepare, suspend_garbage_collection
-from shared.report import robot_report
-from shared.robots import load_robot
-from shared.service import (
+from shared.process.realtime import prepare, suspend_garbage_collection
+from shared.process.service import (
     NETEM_ENDPOINT,
     ServiceLog,
     StopSignal,
     add_service_arguments,
     identity_from,
 )
+from shared.robots import load_robot
 from shared.wire.channels import DOWNLINK, TICKS_KEY, UPLINK
 
 _PRIORITY = 30

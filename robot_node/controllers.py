@@ -17,12 +17,12 @@ import numpy as np
 
 from robot_node.cache import AnswerCache, CacheEntry, ProjectorCache
 from robot_node.onboard import OnBoard, OnBoardWindow, StartComputer, projector_solve
-from shared.config import RunConfig
-from shared.controllers import CONTROLLERS
-from shared.motion.reference import Motion, Reference
-from shared.telemetry import Source
+from shared.config.controllers import CONTROLLERS
+from shared.config.settings import RunConfig
+from shared.telemetry.schema import Source
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
+from shared.wbc.reference import Motion, Reference
 from shared.wbc.stack import Stack
 from shared.wbc.torque import recover_torque
 from shared.wire.codec import Codec

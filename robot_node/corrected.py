@@ -14,11 +14,11 @@ import numpy as np
 from robot_node.cache import CorrectorEntry, FactorisationCache
 from robot_node.controllers import Controller, ControllerParts, Decision
 from robot_node.onboard import OnBoardRefresh, factorisation_solve
-from shared.motion.reference import Reference
-from shared.telemetry import Source
+from shared.telemetry.schema import Source
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Iterate
 from shared.wbc.model import Kinematics
+from shared.wbc.reference import Reference
 from shared.wbc.stack import Stack
 from shared.wbc.torque import recover_torque
 

@@ -15,9 +15,10 @@ from robot_node.node import RobotNode
 from robot_node.tick import Tick
 from shared.bus.base import Delivery, Inbox, Publisher
 from shared.clock import MonotonicClock, Ticker, sleep_until
-from shared.config import LoopConfig
+from shared.config.settings import LoopConfig
 from shared.errors import LinkError
-from shared.telemetry import RowLog, Source
+from shared.telemetry.row_log import RowLog
+from shared.telemetry.schema import Source
 
 # An answer older than this is worth a word: no healthy link is that slow.
 STALE_NS = 250_000_000

@@ -13,7 +13,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pinocchio as pin
 
-from shared.config import PlantConfig
+from shared.config.settings import PlantConfig
 from shared.robots import FootDescription, Robot
 
 _SOLE_THICKNESS = 0.01

@@ -21,12 +21,12 @@ from robot_node.safety import JointHold, RungChange, TorqueGuard, has_fallen
 from robot_node.sensors import Sensors
 from robot_node.tick_row import Moment, TickRow
 from shared.bus.base import new_session
-from shared.config import RunConfig
-from shared.motion.reference import Motion, Reference
-from shared.quantities import parse_push
+from shared.config.quantities import parse_push
+from shared.config.settings import RunConfig
 from shared.robots import Foot, Robot
-from shared.telemetry import Schema, Source, tick_schema
+from shared.telemetry.schema import Schema, Source, tick_schema
 from shared.wbc.model import WholeBodyModel
+from shared.wbc.reference import Motion, Reference
 from shared.wbc.stack import make_stacks
 from shared.wire.codec import Codec
 from shared.wire.messages import RobotState

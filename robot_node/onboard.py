@@ -16,12 +16,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from robot_node.cache import CacheEntry, FactorisationCache, ProjectorCache
-from shared.config import RunConfig, SwitchConfig
+from shared.config.settings import RunConfig, SwitchConfig
 from shared.errors import MessageRefused
-from shared.motion.reference import Motion, coming_switches
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Factorisation
+from shared.wbc.reference import Motion, coming_switches
 from shared.wbc.whole_body import TimedProjector, WholeBodyController
 
 # What an on-board computer computes at (q, v) for a target.

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from robot_node.mjcf import mjcf
-from shared.config import PlantConfig
+from shared.config.settings import PlantConfig
 from shared.robots import Robot
 
 

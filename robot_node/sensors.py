@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.config import SensorConfig
+from shared.config.settings import SensorConfig
 
 
 class Sensors:

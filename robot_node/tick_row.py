@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_node.controllers import Command
-from shared.motion.reference import Reference
 from shared.robots import Foot
-from shared.telemetry import Schema
+from shared.telemetry.schema import Schema
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
+from shared.wbc.reference import Reference
 from shared.wbc.stack import Stack
 
 

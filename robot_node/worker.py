@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from robot_node.onboard import MakeSolve
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import LinkError
 
 # As a service is given: it loads as much as one.
@@ -68,7 +68,7 @@ def _serve(pipe: Connection, config: RunConfig, make_solve: MakeSolve) -> None:
 
     from shared.clock import sleep_until
     from shared.motion.plan import make_motion
-    from shared.realtime import prepare, suspend_garbage_collection
+    from shared.process.realtime import prepare, suspend_garbage_collection
     from shared.robots import load_robot
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -7,7 +7,7 @@ to the last bit on all machines that docs/reproduction.md names, and tests do no
 from __future__ import annotations
 
 # isort: off
-import shared.native_libraries  # noqa: F401
+import shared.process.native_libraries  # noqa: F401
 
 # isort: on
 from collections.abc import Callable
@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from shared.config import RunConfig
-from shared.config_file import load_config
-from shared.motion.reference import Reference, Standing
+from shared.config.config_file import load_config
+from shared.config.settings import RunConfig
+from shared.motion.standing import Standing
 from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
+from shared.wbc.reference import Reference
 from shared.wbc.stack import Stack, make_stacks
 from tests.late import add_option, be_late
 from tests.states import State, random_states

@@ -16,8 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from deploy.namespaces import Machine
-from shared.entry import python
+from benchmarks.real_path.namespaces import Machine
+from shared.process.entry import python
 
 ROOT = Path(__file__).resolve().parents[1]
 # Nothing is given up sooner.

@@ -6,7 +6,7 @@ import numpy as np
 
 from shared.bus.base import Delivery
 from shared.bus.zenoh_bus import ZenohBus, ZenohPublisher
-from shared.telemetry import decode_rows
+from shared.telemetry.row_log import decode_rows
 from shared.wire.channels import TICKS_KEY
 
 

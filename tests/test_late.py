@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from shared.entry import python
+from shared.process.entry import python
 from tests.late import stand_in
 
 LATE_SECONDS = 0.3

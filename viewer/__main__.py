@@ -12,10 +12,10 @@ import sys
 import time
 from pathlib import Path
 
-from shared.cli import EXIT_STANDING, Command, run, run_command
-from shared.config_file import load_config
+from shared.config.config_file import load_config
 from shared.errors import UserError
-from shared.service import StopSignal
+from shared.process.cli import EXIT_STANDING, Command, run, run_command
+from shared.process.service import StopSignal
 from viewer.display import VIEWS
 from viewer.live import watch
 from viewer.recording import record

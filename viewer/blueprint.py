@@ -13,8 +13,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from shared.config import RunConfig
-from shared.controllers import CONTROLLERS
+from shared.config.controllers import CONTROLLERS
+from shared.config.settings import RunConfig
 from shared.robots import load_robot
 from viewer.plots import (
     ACTIVE_SET_HEIGHTS,

@@ -17,11 +17,11 @@ import pinocchio as pin
 
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import standing_footprints
-from shared.motion.reference import Motion, Reference
 from shared.motion.walking import Walking
 from shared.robots import Foot, Robot
 from shared.robots.description import sole_frame_name
 from shared.wbc.contacts import ContactMode
+from shared.wbc.reference import Motion, Reference
 
 # Errors of CoM and soles far below what can be seen [m, rad]; steps until there.
 TOLERANCE = 1e-4

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import UserError
 from shared.robots import load_robot
-from shared.telemetry import Schema, decode_rows
+from shared.telemetry.row_log import decode_rows
+from shared.telemetry.schema import Schema
 from viewer.blueprint import layout
 from viewer.display import Display
 from viewer.intake import BlockQueue, connect, subscribe

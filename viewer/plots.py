@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.outages import OUTAGE, PASSING, SILENT
 from shared.robots import Foot
-from shared.telemetry import Schema, Source
+from shared.telemetry.outages import OUTAGE, PASSING, SILENT
+from shared.telemetry.schema import Schema, Source
 from shared.wbc.contacts import ROWS_PER_FOOT, ROWS_PER_POINT, ContactMode
 from viewer.track import Colour
 

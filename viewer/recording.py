@@ -15,8 +15,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from shared.errors import UserError
-from shared.outages import OUTAGE_NS
 from shared.robots import load_robot
+from shared.telemetry.outages import OUTAGE_NS
 from viewer.blueprint import compared_layout, layout
 from viewer.meshes import load_meshes
 from viewer.plots import BLUE, GREEN, ORANGE, PURPLE, RED, YELLOW

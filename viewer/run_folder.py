@@ -19,17 +19,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from shared.config import RunConfig
-from shared.config_file import load_config
+from shared.config.config_file import load_config
+from shared.config.settings import RunConfig
 from shared.errors import UserError
 from shared.robots import load_robot
-from shared.telemetry import (
-    Schema,
-    parquet_chunks,
-    parquet_shape,
-    read_parquet,
-    tick_schema,
-)
+from shared.telemetry.parquet import parquet_chunks, parquet_shape, read_parquet
+from shared.telemetry.schema import Schema, tick_schema
 
 _FILES = ("config.toml", "telemetry.parquet")
 _OTHERS = ("link.parquet", "edge.parquet")

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import UserError
-from shared.outages import OUTAGE, SILENT, Change, LinkLane
 from shared.robots import Robot
-from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
+from shared.telemetry.outages import OUTAGE, SILENT, Change, LinkLane
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
 from viewer.meshes import LinkMesh
 from viewer.plots import (
     ACTIVE_SET_PATH,

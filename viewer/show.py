@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from shared.screen import has_screen
+from shared.output.screen import has_screen
 from viewer.display import Display
 from viewer.recording import blueprint, log_runs, new_recording, title
 from viewer.run_folder import read_run

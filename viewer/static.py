@@ -11,10 +11,10 @@ import numpy as np
 import rerun as rr
 
 from shared.motion.footprint import Footprint
-from shared.motion.reference import Motion
 from shared.motion.swing import swing
 from shared.motion.walking import Walking
 from shared.robots import Foot, Robot
+from shared.wbc.reference import Motion
 from viewer.meshes import LinkMesh
 from viewer.plots import (
     ACTIVE_SET_COLOURS,

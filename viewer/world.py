@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.motion.plan import make_motion
 from shared.robots import Robot
-from shared.telemetry import Schema, Source
+from shared.telemetry.schema import Schema, Source
 from shared.wbc.contacts import ContactMode
 from viewer.ghost import Ghost
 from viewer.meshes import LinkMesh

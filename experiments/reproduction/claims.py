@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from experiments.bisection import median_interval
 from experiments.reproduction import five_g
 from experiments.reproduction.computation import local_is_cheaper
 from experiments.reproduction.constant_delays import (
@@ -25,6 +24,7 @@ from experiments.reproduction.outcome import (
 )
 from experiments.reproduction.results import Results
 from experiments.reproduction.verdict import no_worse
+from experiments.studies.bisection import median_interval
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,9 @@ from experiments.reproduction.timed_walk import (
     one_core,
 )
 from netem.profile import DOWNLINK, UPLINK
-from shared.config_file import load_config
-from shared.report import DIRECTIONS, cpu_name, versions
+from shared.config.config_file import load_config
+from shared.output.report import DIRECTIONS
+from shared.output.versions import cpu_name, versions
 
 NETWORK = "building/001"
 QUICK_SECONDS = 3.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from experiments.bisection import median_interval
 from experiments.reproduction.layout import (
     FELL,
     NONE,
@@ -24,6 +23,7 @@ from experiments.reproduction.outcome import (
 from experiments.reproduction.published import published
 from experiments.reproduction.results import Results
 from experiments.reproduction.verdict import Verdict, error_verdict, verdict
+from experiments.studies.bisection import median_interval
 
 _ByName = dict[str, Outcome]
 

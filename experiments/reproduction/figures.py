@@ -15,7 +15,7 @@ import matplotlib as mpl
 import numpy as np
 
 from experiments.reproduction.traces import Trace, play_trace
-from experiments.study import read_study
+from experiments.studies.study_file import read_study
 from netem.networks import load_profile
 from netem.statistics import delays_ms
 

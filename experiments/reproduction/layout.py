@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from experiments.reproduction.outcome import Outcome
-from shared.text_table import aligned
+from shared.output.text_table import aligned
 
 FELL = "∞"
 NONE = "–"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.trial_table import wilson_interval
+from experiments.studies.trial_table import wilson_interval
 
 Row = dict[str, Any]
 

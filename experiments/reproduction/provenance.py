@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from experiments.about import commit_in_words, other_codes_in_words
 from experiments.reproduction.layout import Table, in_markdown
 from experiments.reproduction.results import Results
 from experiments.reproduction.sections import STUDIES
+from experiments.studies.about import commit_in_words, other_codes_in_words
 
 _PACKAGES = ("python", "mujoco", "pin", "daqp", "numpy")
 

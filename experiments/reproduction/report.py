@@ -19,8 +19,8 @@ from experiments.reproduction.results import FIGURE_FOLDER, Results
 from experiments.reproduction.run import DEFAULT_OUT
 from experiments.reproduction.sections import SECTIONS, STUDIES
 from experiments.reproduction.verdict import RULE, Verdict
-from shared.cli import EXIT_STANDING
 from shared.errors import ConfigError
+from shared.process.cli import EXIT_STANDING
 
 _KEPT = ("study.toml", "trials.parquet", "about.json")
 _FIGURES = {

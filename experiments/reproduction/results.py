@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from experiments.bisection import Limit, limits
 from experiments.reproduction.compute_times import ComputeTimes
 from experiments.reproduction.outcome import Row
-from experiments.study import read_study
-from experiments.trial_table import read_trials
-from shared.toml_file import read_toml
+from experiments.studies.bisection import Limit, limits
+from experiments.studies.study_file import read_study
+from experiments.studies.trial_table import read_trials
+from shared.config.toml_file import read_toml
 
 FIGURE_FOLDER = "figures"
 COMPUTE_TIMES = "compute-times.json"

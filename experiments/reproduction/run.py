@@ -12,16 +12,16 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.code_identity import code_version
 from experiments.reproduction.compute_times import QUICK_SECONDS, measure
 from experiments.reproduction.figures import FIGURES
 from experiments.reproduction.layout import in_columns
 from experiments.reproduction.results import COMPUTE_TIMES, FIGURE_FOLDER, Results
 from experiments.reproduction.sections import SECTIONS
-from experiments.study import read_study
-from experiments.sweep import sweep, workers_from
-from shared.cli import EXIT_STANDING
+from experiments.studies.code_identity import code_version
+from experiments.studies.study_file import read_study
+from experiments.studies.sweep import sweep, workers_from
 from shared.errors import ConfigError
+from shared.process.cli import EXIT_STANDING
 
 ALL = "all"
 # Computation times first, while the cores are idle; then the cheapest.

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from experiments.lockstep import Lockstep, TrialResult
-from shared.config import RunConfig
-from shared.motion.reference import Reference
+from shared.config.settings import RunConfig
 from shared.robots import load_robot
-from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import solve
 from shared.wbc.qp import make_solver
+from shared.wbc.reference import Reference
 from shared.wbc.stack import make_stacks
 from shared.wbc.torque import recover_torque
 

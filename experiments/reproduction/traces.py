@@ -9,7 +9,7 @@ import numpy as np
 from experiments.lockstep import Lockstep
 from netem.networks import load_profile
 from netem.statistics import delays_ms
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,10 @@ from netem.generator.generate import DOWNLINK_BYTES, UPLINK_BYTES, check_set, ge
 from netem.networks import load_profile, shipped_names
 from netem.profile import DelayProfile
 from netem.statistics import LINKS, OUTAGE_MS, delays_ms, outages, statistics
-from shared.cli import EXIT_STANDING
 from shared.errors import ConfigError
-from shared.report import cpu_name, versions
-from shared.text_table import aligned
+from shared.output.text_table import aligned
+from shared.output.versions import cpu_name, versions
+from shared.process.cli import EXIT_STANDING
 
 MAX_SETS = 100
 # D at which two samples of n and m differ at the 5 % level: so much × √((n + m) / (n m)).

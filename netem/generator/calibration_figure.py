@@ -11,7 +11,7 @@ import numpy as np
 
 from netem.profile import DelayProfile
 from netem.statistics import autocorrelation, delays_ms, outages
-from shared.figure import save_figure
+from shared.output.figure import save_figure
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

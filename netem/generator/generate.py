@@ -20,8 +20,8 @@ from netem.generator.rate_adaptation import capacity_per_ms
 from netem.profile import DOWNLINK, LOST, PERIOD_NS, UPLINK, DelayProfile
 from netem.profile_file import write_profile
 from netem.statistics import delays_ms, outages
-from shared.cli import EXIT_STANDING
 from shared.errors import ConfigError
+from shared.process.cli import EXIT_STANDING
 
 SOURCE = "generated, docs/network-model.md"
 # The load of the paper, at which a drawn channel is judged [bytes per message].

@@ -11,8 +11,8 @@ from netem.importers.formats import PCAP, Format
 from netem.importers.measured import Measured
 from netem.importers.options import Options
 from netem.profile import DIRECTIONS, DOWNLINK, UPLINK
+from shared.config.quantities import parse_duration_ns
 from shared.errors import ConfigError, ProfileError
-from shared.quantities import parse_duration_ns
 
 # As in UlPdcpStats.txt, NrDlPdcpRxStats.txt, downlink.csv or LTE-driving.up.
 _WAY = re.compile(

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from netem.profile import PERIOD_NS
+from shared.config.quantities import parse_duration_ns
 from shared.errors import ConfigError
-from shared.quantities import parse_duration_ns
 
 T = TypeVar("T")
 _MULTIPLES = {"": 1, "k": 1000, "M": 1000**2, "G": 1000**3, "Ki": 1024, "Mi": 1024**2}

@@ -28,11 +28,11 @@ from netem.recorder.recording import Recorded, estimate_clock, reconstruct
 from shared.bus.base import new_session
 from shared.bus.security import EDGE, Credentials
 from shared.bus.zenoh_bus import ZenohBus
-from shared.cli import EXIT_INTERRUPTED, EXIT_STANDING
-from shared.config import RobotConfig
+from shared.config.settings import RobotConfig
 from shared.errors import ConfigError, LinkError
-from shared.realtime import prepare, suspend_garbage_collection
-from shared.service import StopSignal, add_identity_arguments, identity_from
+from shared.process.cli import EXIT_INTERRUPTED, EXIT_STANDING
+from shared.process.realtime import prepare, suspend_garbage_collection
+from shared.process.service import StopSignal, add_identity_arguments, identity_from
 from shared.wire.channels import DOWNLINK, UPLINK
 
 _PRIORITY = 30

@@ -12,7 +12,7 @@ import numpy as np
 from netem.profile import DIRECTIONS, LOST
 from netem.recorder.record_loops import NearLoop
 from netem.recorder.recording import Recorded
-from shared.screen import rewrites_lines
+from shared.output.screen import rewrites_lines
 
 _CLEAR_LINE = "\r\033[2K"
 _TERMINAL_SECONDS, _PLAIN_SECONDS = 0.25, 5.0

@@ -10,7 +10,6 @@ import secrets
 import struct
 import threading
 from collections import Counter, deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -59,22 +58,6 @@ class Publisher(Protocol):
 
     def forward(self, delivery: Delivery) -> None:
         """Send a received message on, with its own envelope."""
-        ...
-
-
-class Bus(Protocol):
-    """A way to other nodes."""
-
-    def publisher(self, key: str) -> Publisher:
-        """A publisher on `key`."""
-        ...
-
-    def subscribe(self, key: str, receive: Callable[[Delivery], None]) -> None:
-        """Call `receive` for every message on `key`; it must return at once."""
-        ...
-
-    def close(self) -> None:
-        """Leave the bus."""
         ...
 
 

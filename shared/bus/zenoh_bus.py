@@ -21,7 +21,7 @@ import zenoh
 
 from shared.bus.base import Delivery, Envelope, new_session
 from shared.bus.endpoint import parse_endpoint
-from shared.bus.knock import knock
+from shared.bus.preflight import knock
 from shared.bus.security import Credentials
 from shared.errors import LinkError
 

@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from shared.motion.reference import Motion, Reference
 from shared.motion.swing import quintic
+from shared.wbc.reference import Motion, Reference
 
 # The two CoM trajectories are some millimetres apart: over this time neither jumps [s].
 DURATION = 0.4

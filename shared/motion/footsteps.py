@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from shared.config import WalkConfig
+from shared.config.settings import WalkConfig
 from shared.errors import ConfigError
 from shared.motion.footprint import Footprint
 from shared.robots import Foot, Robot

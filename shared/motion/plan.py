@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from shared.config import RunConfig
-from shared.motion.reference import Motion, Standing
+from shared.config.settings import RunConfig
+from shared.motion.standing import Standing
 from shared.motion.walking import Walking
 from shared.robots import Robot
+from shared.wbc.reference import Motion
 
 MakeMotion = Callable[[Robot, RunConfig], Motion]
 

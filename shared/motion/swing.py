@@ -3,24 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from shared.motion.footprint import Footprint
-
-
-@dataclass(frozen=True)
-class SwingState:
-    """Sole frame of the swing foot: position, velocity, acceleration (3,) in the world; heading
-    [rad] and its first and second derivative."""
-
-    position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    yaw: float
-    yaw_rate: float
-    yaw_acceleration: float
+from shared.wbc.reference import SwingState
 
 
 def quintic(u: float) -> tuple[float, float, float]:

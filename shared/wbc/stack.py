@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.config import WbcConfig
-from shared.motion.reference import Reference
+from shared.config.settings import WbcConfig
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactGeometry, ContactMode, contact_geometry
 from shared.wbc.model import Jacobians, Kinematics, RowMultipliers, WholeBodyModel
+from shared.wbc.reference import Reference
 from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, SwingFootTask, Task
 
 N_DYNAMICS = 6

@@ -14,9 +14,9 @@ from typing import Protocol
 import numpy as np
 import pinocchio as pin
 
-from shared.motion.reference import Reference
 from shared.robots import Foot
 from shared.wbc.model import Jacobians, Kinematics, RowMultipliers
+from shared.wbc.reference import Reference
 
 
 class Task(Protocol):

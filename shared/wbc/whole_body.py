@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.config import WbcConfig
-from shared.motion.reference import Motion
+from shared.config.settings import WbcConfig
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Factorisation, factorise_kkt
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import Projector, WholeBodySolution, solve
 from shared.wbc.qp import make_solver
+from shared.wbc.reference import Motion
 from shared.wbc.stack import make_stacks
 
 FOR_EVER_NS = 2**62

@@ -13,13 +13,13 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import ConfigError, MessageRefused
-from shared.motion.reference import Motion
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Factorisation
 from shared.wbc.projector import Projector
+from shared.wbc.reference import Motion
 from shared.wbc.stack import RowLayout, make_stacks
 from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK

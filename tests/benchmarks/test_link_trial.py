@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.link_trial import Trial, way_errors
 from netem.profile import DOWNLINK, UPLINK
-from shared.telemetry import LINK_SCHEMA
+from shared.telemetry.schema import LINK_SCHEMA
 
 MS = 1_000_000
 

@@ -13,9 +13,10 @@ import pytest
 
 from benchmarks import viewer
 from benchmarks.viewer import CASES, Ticks, disturb, read_ticks
-from shared.entry import python
 from shared.errors import ConfigError
-from shared.telemetry import Column, Schema, write_parquet
+from shared.process.entry import python
+from shared.telemetry.parquet import write_parquet
+from shared.telemetry.schema import Column, Schema
 from tests.processes import ended, until
 
 SCHEMA = Schema(*(Column(name) for name in ("time_ns", "tick_ns", "late_ns", "overruns")))

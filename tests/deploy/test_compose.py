@@ -13,7 +13,7 @@ import yaml
 
 from deploy.container import READY_FILE
 from deploy.services import Service, load_services
-from shared.config_file import load_config
+from shared.config.config_file import load_config
 from shared.robots import CATALOGUE
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"

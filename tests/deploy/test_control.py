@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from deploy import control
-from deploy.registry import Registry
-from deploy.state import ENDED, READY, ServiceState, StackFolder, StackState
-from shared.entry import python
+from deploy.background import control
+from deploy.background.registry import Registry
+from deploy.background.state import ENDED, READY, ServiceState, StackFolder, StackState
 from shared.errors import ConfigError, LinkError
+from shared.process.entry import python
 
 # A stack that ends at a signal as one does: with a state that says so, then without its lock.
 STANDS_IN = """
 import dataclasses, pathlib, signal, sys
-from deploy.state import ENDED, StackFolder
+from deploy.background.state import ENDED, StackFolder
 stack = StackFolder(pathlib.Path(sys.argv[1]))
 with stack.claim():
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from shared.entry import python
+from shared.process.entry import python
 from tests.processes import played
 
 BEGINS = """
 import os, signal, sys
-from deploy.detach import in_background, tell_ready
+from deploy.background.detach import in_background, tell_ready
 from shared.errors import LinkError
 
 def play(ready_fd):

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from deploy.installed import missing
-from shared.entry import python
+from shared.process.entry import python
 from tests.processes import ROOT
 
 # What a folder of the caller's may have in it: of names of ours, and of packages that we use.
@@ -152,7 +152,7 @@ def test_a_full_output_is_one_line(tmp_path: Path, name: str) -> None:
 
 def test_a_terminal_that_cannot_show_a_character_shows_another(tmp_path: Path) -> None:
     script = (
-        "import sys; from shared.entry import enter\n"
+        "import sys; from shared.process.entry import enter\n"
         "sys.stdout.reconfigure(encoding='latin-1'); enter(); print('é → Ω')"
     )
     done = subprocess.run(

@@ -11,8 +11,8 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from deploy.keys import make
-from shared.entry import python
 from shared.errors import ConfigError
+from shared.process.entry import python
 from tests.processes import played
 
 ROLES = ("edge", "netem", "router", "robot-romeo", "robot-amy")

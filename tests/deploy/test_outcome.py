@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from deploy.outcome import keep_report, summarise
-from shared.config import RunConfig
-from shared.report import edge_report, robot_report
-from shared.telemetry import SOLVE_SCHEMA, tick_schema, write_parquet
+from shared.config.settings import RunConfig
+from shared.output.report import edge_report, robot_report
+from shared.telemetry.parquet import write_parquet
+from shared.telemetry.schema import SOLVE_SCHEMA, tick_schema
 
 TICKS = tick_schema(nq=38, nv=37)
 

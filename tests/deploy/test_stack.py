@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from deploy.background.state import ENDED, StackFolder
 from deploy.plan import ROBOT, Plan, Step
 from deploy.services import load_services
 from deploy.stack import Run, Stack
-from deploy.state import ENDED, StackFolder
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import ConfigError, LinkError
 from tests.processes import PATIENCE_SECONDS
 

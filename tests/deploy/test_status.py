@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.events import Events
-from deploy.status import Status, sparkline
+from deploy.console.events import Events
+from deploy.console.status import Status, sparkline
 from shared.bus.base import Delivery
-from shared.telemetry import LINK_SCHEMA, encode_rows, tick_schema
+from shared.telemetry.row_log import encode_rows
+from shared.telemetry.schema import LINK_SCHEMA, tick_schema
 
 TICKS = tick_schema(nq=38, nv=37)
 MS = 1_000_000

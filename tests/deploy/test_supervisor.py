@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from deploy.background.state import ENDED, READY
 from deploy.services import load_services
-from deploy.state import ENDED, READY
 from deploy.supervisor import Launch, Supervisor
-from shared.entry import python
 from shared.errors import ConfigError, LinkError
+from shared.process.entry import python
 from tests.processes import PATIENCE_SECONDS
 
 FAILS = "print('READY', flush=True); raise SystemExit(4)"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.state import LineFile
-from deploy.terminal import Terminal, said
+from deploy.background.state import LineFile
+from deploy.console.terminal import Terminal, said
 
 
 @pytest.fixture

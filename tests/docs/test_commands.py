@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 
 import benchmarks.__main__
-import deploy.control
+import deploy.background.control
 import deploy.up
 import experiments.__main__
 import netem.__main__
 import viewer.__main__
-from shared.cli import Parser, config_from
-from shared.config import RunConfig
-from shared.config_file import load_config
-from shared.toml_file import read_toml
+from shared.config.config_file import load_config
+from shared.config.settings import RunConfig
+from shared.config.toml_file import read_toml
+from shared.process.cli import Parser, config_from
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]
@@ -27,7 +27,7 @@ PROGRAMS = {
     "netem": netem.__main__._COMMANDS,
     "benchmarks": benchmarks.__main__._COMMANDS,
     "viewer": viewer.__main__._COMMANDS,
-    "deploy": deploy.control._COMMANDS,
+    "deploy": deploy.background.control._COMMANDS,
 }
 MODULE = r"python -m (experiments|netem|benchmarks|viewer) ([a-z-]+)"
 SHOWN = rf"{MODULE}|\./(deploy)/(up|ps|logs|restart|down)\b"

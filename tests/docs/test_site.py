@@ -9,8 +9,8 @@ import subprocess
 import pytest
 from pymdownx.superfences import SuperFencesException
 
-from deploy.site_hooks import mathml
-from shared.entry import python
+from docs.hooks import mathml
+from shared.process.entry import python
 from tests.processes import ROOT
 
 

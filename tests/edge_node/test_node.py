@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from edge_node.node import EdgeNode
-from shared.config import CorrectionConfig
-from shared.telemetry import SOLVE_SCHEMA
+from shared.config.settings import CorrectionConfig
+from shared.telemetry.schema import SOLVE_SCHEMA
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import factorise_kkt
 from shared.wbc.qp import QpStatus

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from experiments.study import read_study
+from experiments.studies.study_file import read_study
 
 
 @pytest.fixture

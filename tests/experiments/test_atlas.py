@@ -9,7 +9,7 @@ import pytest
 
 from experiments import atlas
 from experiments.atlas import add_atlas_arguments, in_words, run_atlas, squares_of, study_from
-from experiments.trial_table import read_trials
+from experiments.studies.trial_table import read_trials
 from shared.errors import ConfigError
 
 

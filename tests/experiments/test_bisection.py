@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from experiments.bisection import Limit, limits, limits_in_words, median_interval
-from experiments.course import Bisection
+from experiments.studies.bisection import Limit, limits, limits_in_words, median_interval
+from experiments.studies.trial_sequence import Bisection
 from shared.errors import ConfigError
 
 STUDY = """

@@ -10,15 +10,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from experiments.check import add_check_arguments, changed, difference, matched, run_check
-from experiments.code_identity import ROOT
-from experiments.rounding import beyond, differences
-from experiments.study import read_study
-from experiments.sweep import sweep
-from experiments.trial_table import read_trials
+from experiments.studies.check import add_check_arguments, changed, difference, matched, run_check
+from experiments.studies.code_identity import ROOT
+from experiments.studies.rounding import beyond, differences
+from experiments.studies.study_file import read_study
+from experiments.studies.sweep import sweep
+from experiments.studies.trial_table import read_trials
 from shared.errors import ConfigError
-from shared.native_libraries import AVX2, KERNEL
-from shared.report import versions
+from shared.output.versions import versions
+from shared.process.native_libraries import AVX2, KERNEL
 
 PUBLISHED = ROOT / "docs/results/trials"
 
@@ -106,7 +106,7 @@ def test_a_sample_is_drawn_by_its_seed(finished, capsys, monkeypatch):
         drawn.append(sorted(trials))
         return []
 
-    monkeypatch.setattr("experiments.check.replayed", replayed)
+    monkeypatch.setattr("experiments.studies.check.replayed", replayed)
     for seed in [*range(60), 3]:
         assert check(finished, "--sample", "2", "--seed", str(seed)) == 0
     assert drawn[-1] == drawn[3]

@@ -7,10 +7,10 @@ import sys
 
 import pytest
 
-from experiments.study import read_study
-from experiments.sweep import sweep
-from shared.entry import python
+from experiments.studies.study_file import read_study
+from experiments.studies.sweep import sweep
 from shared.errors import ConfigError
+from shared.process.entry import python
 from tests.processes import until
 
 STUDY = """
@@ -89,12 +89,12 @@ def test_a_cluster_gives_the_rows_of_local_processes(cluster, study, tmp_path):
 
 
 def test_a_worker_of_other_code_or_packages_does_not_play(cluster, study, tmp_path, monkeypatch):
-    monkeypatch.setattr("experiments.workers.code_version", lambda: "another")
+    monkeypatch.setattr("experiments.studies.workers.code_version", lambda: "another")
     with pytest.raises(ConfigError, match=r"code another, as here, .* got [0-9a-f]{16} on"):
         sweep(study, out=tmp_path / "out", scheduler=cluster)
     assert (tmp_path / "out" / "trials.jsonl").read_text() == ""
     monkeypatch.undo()
-    monkeypatch.setattr("experiments.workers.versions", lambda: {"mujoco": "0.1"})
+    monkeypatch.setattr("experiments.studies.workers.versions", lambda: {"mujoco": "0.1"})
     with pytest.raises(ConfigError, match=r"expected mujoco 0\.1, as here"):
         sweep(study, out=tmp_path / "out", scheduler=cluster)
 
@@ -111,7 +111,7 @@ def test_a_worker_of_other_code_or_packages_does_not_play(cluster, study, tmp_pa
 def test_a_scheduler_that_is_not_there_is_an_error_in_one_line(
     study, tmp_path, monkeypatch, address, said
 ):
-    monkeypatch.setattr("experiments.workers._SCHEDULER_WITHIN", 0.5)
+    monkeypatch.setattr("experiments.studies.workers._SCHEDULER_WITHIN", 0.5)
     with pytest.raises(ConfigError) as caught:
         sweep(study, out=tmp_path, scheduler=address)
     assert said in str(caught.value)

@@ -11,8 +11,8 @@ from pathlib import PurePosixPath
 
 import pytest
 
-from experiments.code_identity import PARTS, ROOT, code_version, identity, present_identity
-from shared.toml_file import read_toml
+from experiments.studies.code_identity import PARTS, ROOT, code_version, identity, present_identity
+from shared.config.toml_file import read_toml
 
 SOURCE = '''"""What it is."""
 
@@ -26,7 +26,7 @@ class Clamp:
         """The torque within it."""
         return min(torque, LIMIT)
 '''
-CODES = read_toml(ROOT / "experiments/published_codes.toml", what="published codes")["code"]
+CODES = read_toml(ROOT / "experiments/studies/published_codes.toml", what="published codes")["code"]
 
 
 def of(source: str, *, name: str = "shared/clamp.py") -> str:

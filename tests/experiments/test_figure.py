@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 
-from experiments.corrections import run_corrections
 from experiments.figure import FELL, _draw, _value, add_figure_arguments, run_figure
-from experiments.study import read_study
-from experiments.sweep import sweep
+from experiments.studies.corrections import run_corrections
+from experiments.studies.study_file import read_study
+from experiments.studies.sweep import sweep
 from shared.errors import ConfigError
 
 PNG = b"\x89PNG"

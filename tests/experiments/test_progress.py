@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from experiments.progress import Progress
+from experiments.studies.progress import Progress
 
 
 class Terminal(io.StringIO):

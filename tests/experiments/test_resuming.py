@@ -11,12 +11,12 @@ import subprocess
 
 import pytest
 
-from experiments.bisection import limits
-from experiments.study import read_study
-from experiments.sweep import sweep
-from experiments.trial_table import read_trials
-from shared.entry import python
+from experiments.studies.bisection import limits
+from experiments.studies.study_file import read_study
+from experiments.studies.sweep import sweep
+from experiments.studies.trial_table import read_trials
 from shared.errors import ConfigError
+from shared.process.entry import python
 from tests.processes import ended, until
 
 BISECT = """
@@ -80,7 +80,9 @@ def play(monkeypatch, study_of, tmp_path):
     """A sweep of BISECT played by an oracle; returns its rows."""
 
     def played(oracle, *, out="out", **options):
-        monkeypatch.setattr("experiments.sweep.players", lambda *_: contextlib.nullcontext(oracle))
+        monkeypatch.setattr(
+            "experiments.studies.sweep.players", lambda *_: contextlib.nullcontext(oracle)
+        )
         return sweep(study_of(BISECT), out=tmp_path / out, **options)
 
     return played
@@ -140,7 +142,7 @@ def test_only_some_cells_of_a_bisection_can_be_played(play):
 def test_the_progress_of_a_bisection_counts_down_to_its_end(play, monkeypatch):
     told = []
     monkeypatch.setattr(
-        "experiments.progress.Progress.finished",
+        "experiments.studies.progress.Progress.finished",
         lambda self, *, fell, left: told.append((fell, left)),
     )
     whole = Oracle()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import tomli_w
 
-from experiments.dealing import draw
-from experiments.study import SHIPPED, read_study
+from experiments.studies.study import draw
+from experiments.studies.study_file import SHIPPED, read_study
 from netem.networks import shipped_names
 from shared.errors import ConfigError
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from experiments.study import read_study
+from experiments.studies.study_file import read_study
 from shared.errors import ConfigError
 
 BISECT_LOOP = "[bisect]\nsetting = 'loop.period_ns'\n"

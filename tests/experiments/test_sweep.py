@@ -11,13 +11,13 @@ import subprocess
 
 import pytest
 
-from experiments.about import other_codes_in_words
-from experiments.study import read_study
-from experiments.sweep import _write_table, sweep
-from experiments.trial_table import read_trials, table_in_words
-from experiments.workers import play
-from shared.entry import python
+from experiments.studies.about import other_codes_in_words
+from experiments.studies.study_file import read_study
+from experiments.studies.sweep import _write_table, sweep
+from experiments.studies.trial_table import read_trials, table_in_words
+from experiments.studies.workers import play
 from shared.errors import ConfigError
+from shared.process.entry import python
 from tests.processes import ended, until
 
 BASE = """

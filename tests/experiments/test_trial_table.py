@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from experiments.trial_table import table_in_words, wilson_interval
+from experiments.studies.trial_table import table_in_words, wilson_interval
 
 
 @pytest.mark.parametrize(

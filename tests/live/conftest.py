@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from deploy.namespaces import Machine
+from benchmarks.real_path.namespaces import Machine
 from tests.processes import Process
 from tests.telemetry_hub import TelemetryHub
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.registry import ROOT as STACKS
-from deploy.state import StackFolder
-from shared.entry import python
+from deploy.background.registry import ROOT as STACKS
+from deploy.background.state import StackFolder
+from shared.process.entry import python
 from tests.processes import ROOT, Process, descendants_naming, played, until
 
 pytestmark = pytest.mark.live
@@ -95,7 +95,7 @@ def test_a_stack_in_the_background_from_its_start_to_its_end(start: Start, tmp_p
     assert not (tmp_path / "second").exists()
     assert len(second.stderr.splitlines()) == 1
 
-    following = start("deploy.control", "logs", "-f", "robot", "--run", str(run))
+    following = start("deploy.background.control", "logs", "-f", "robot", "--run", str(run))
     following.wait_for("the task begins")
     again = told("restart", "edge")
     assert again.returncode == 0, again.stderr
@@ -127,7 +127,7 @@ def test_a_stack_whose_robot_falls_ends_by_itself_and_says_so_later(
     flags = ("--controller", "pr", "--network", "constant:120ms", "--view", "off")
     started = up(*flags, "--out", str(run))
     assert started.returncode == 0, started.stdout + started.stderr
-    following = start("deploy.control", "logs", "-f", "--run", str(run))
+    following = start("deploy.background.control", "logs", "-f", "--run", str(run))
     assert following.wait() == 0
     assert "FELL after" in following.output
     assert " robot | pushed with 100 N to +y" in following.output

@@ -160,7 +160,7 @@ def test_it_has_what_the_services_import_and_nothing_to_develop_with(
     commands = sorted({each.command[0] for each in load_services().values()})
     modules = [name if "." in name else f"{name}.__main__" for name in commands]
     # In one container: with this storage each is a copy of the whole image.
-    code = f"""import importlib.util, {", ".join(modules)}, deploy.watch
+    code = f"""import importlib.util, {", ".join(modules)}, deploy.console.watch
 print([name for name in {DEVELOPMENT} if importlib.util.find_spec(name)])"""
     run = ("docker", "run", "--rm", "--network", "none", "--workdir", "/tmp", "--entrypoint")
     told = docker.run(*run, "python", image, "-I", "-c", code, seconds=10 * MINUTE)

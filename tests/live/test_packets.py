@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from deploy.namespaces import Machine
+from benchmarks.real_path.namespaces import Machine
 from netem.tun import EDGE_ADDRESS, ROBOT_ADDRESS, NamespacePair, namespaces
-from shared.entry import python
 from shared.errors import LinkError
+from shared.process.entry import python
 from tests.processes import Process, played
 
 pytestmark = pytest.mark.live

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.real_path.namespaces import Machines, two_machines
 from deploy.keys import make
-from deploy.namespaces import Machines, two_machines
 from shared.errors import UserError
 from tests.processes import Process, descendants_naming
 

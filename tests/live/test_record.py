@@ -15,7 +15,7 @@ from netem.networks import load_profile
 from netem.profile import LOST
 from netem.recorder.probe import VERSION, version_notice
 from shared.bus.zenoh_bus import ZenohBus
-from shared.telemetry import read_parquet
+from shared.telemetry.parquet import read_parquet
 from shared.wire.channels import DOWNLINK, UPLINK
 from tests.processes import PATIENCE_SECONDS, Process, descendants_naming, until
 
@@ -27,7 +27,7 @@ MS = 1e6
 IMPATIENT = """
 from netem.__main__ import main
 from netem.recorder import record, record_loops
-from shared.cli import run
+from shared.process.cli import run
 record.CONNECT_SECONDS = record_loops.CONNECT_SECONDS = 3.0
 run(main)
 """

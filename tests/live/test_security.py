@@ -14,7 +14,7 @@ import pytest
 
 from deploy.keys import make
 from shared.bus.base import Delivery
-from shared.bus.knock import knock
+from shared.bus.preflight import knock
 from shared.bus.security import Credentials
 from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import LinkError

@@ -15,11 +15,11 @@ import pytest
 
 from shared.bus.base import Delivery
 from shared.bus.zenoh_bus import ZenohBus
-from shared.config import RunConfig
-from shared.config_file import load_config
-from shared.entry import python
+from shared.config.config_file import load_config
+from shared.config.settings import RunConfig
+from shared.process.entry import python
 from shared.robots import CATALOGUE, load_robot
-from shared.telemetry import read_parquet
+from shared.telemetry.parquet import read_parquet
 from shared.wire.channels import DOWNLINK
 from tests.processes import ROOT, Process, descendants_naming, ended, until
 from tests.telemetry_hub import TelemetryHub, is_heard
@@ -48,7 +48,7 @@ SUMMARY_KEYS = {
 LOADED_EDGE = """
 import pathlib, sys, time
 from edge_node.__main__ import main
-from shared.cli import run
+from shared.process.cli import run
 print("loaded", flush=True)
 begin = pathlib.Path(sys.argv.pop(1))
 while not begin.exists():

@@ -11,7 +11,7 @@ import pytest
 
 from experiments.lockstep import Lockstep, TrialResult
 from netem.profile import LOST, DelayProfile
-from shared.config_file import load_config
+from shared.config.config_file import load_config
 
 SEED = 0
 

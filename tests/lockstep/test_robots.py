@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.robots import CATALOGUE
 
 OTHERS = [name for name in CATALOGUE if name != RunConfig().robot.name]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from netem.profile import LOST
-from shared.telemetry import Source
+from shared.telemetry.schema import Source
 
 MS = 1_000_000
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.motion.reference import Standing
+from shared.motion.standing import Standing
 from shared.wbc.contacts import ContactMode
 
 

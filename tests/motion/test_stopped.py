@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.config import WalkConfig
+from shared.config.settings import WalkConfig
 from shared.motion.cross_fade import DURATION
-from shared.motion.reference import Standing
+from shared.motion.standing import Standing
 from shared.motion.walking import Walking
 from shared.wbc.contacts import ContactMode
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from shared.config import WalkConfig
+from shared.config.settings import WalkConfig
 from shared.errors import ConfigError
 from shared.motion.walking import Walking
 from shared.robots import Foot

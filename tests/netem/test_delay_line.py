@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from netem.delay_line import DelayLine
 from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
-from shared.quantities import parse_outage
+from shared.config.quantities import parse_outage
 
 MS = 1_000_000
 # In tenths of a millisecond: drawn in nanoseconds, most would be too short to overtake anything.

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from shared.entry import python
+from shared.process.entry import python
 from tests.processes import played
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from netem.link_options import add_link_arguments, link_config_from
-from shared.cli import Parser
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import ConfigError
+from shared.process.cli import Parser
 
 
 def config_of(*words: str) -> RunConfig:

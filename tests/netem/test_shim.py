@@ -14,8 +14,9 @@ from netem.networks import constant_profile
 from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
 from netem.shim import Shim, Sides
 from shared.bus.base import Delivery, Envelope
-from shared.config import LinkConfig
-from shared.telemetry import LINK_SCHEMA, RowLog
+from shared.config.settings import LinkConfig
+from shared.telemetry.row_log import RowLog
+from shared.telemetry.schema import LINK_SCHEMA
 from tests.processes import PATIENCE_SECONDS, until
 
 MS = 1_000_000

@@ -10,10 +10,10 @@ from robot_node.controllers import ControllerParts, LocallyAssisted, PurelyRemot
 from robot_node.corrected import LocallyCorrected
 from robot_node.node import RobotNode
 from robot_node.onboard import ModelledComputer, factorisation_solve, projector_solve
-from shared.controllers import CONTROLLERS
+from shared.config.controllers import CONTROLLERS
 from shared.errors import ConfigError
 from shared.motion.plan import make_motion
-from shared.telemetry import Source
+from shared.telemetry.schema import Source
 from shared.wbc.contacts import ContactMode
 from shared.wbc.torque import recover_torque
 from shared.wire.codec import Codec

@@ -13,7 +13,7 @@ from robot_node.controllers import ControllerParts
 from robot_node.corrected import Contraction, LocallyCorrected
 from shared.robots import Foot
 from shared.robots.description import sole_frame_name
-from shared.telemetry import Source
+from shared.telemetry.schema import Source
 from shared.wbc.contacts import FORCES_PER_FOOT, ContactMode
 from shared.wbc.correction import Corrector, Iterate, factorise_kkt
 from shared.wbc.projector import full_problem

@@ -11,7 +11,7 @@ from edge_node.node import EdgeNode
 from robot_node.node import RobotNode
 from robot_node.safety import JointHold, TorqueGuard
 from robot_node.tick import Tick
-from shared.telemetry import Source
+from shared.telemetry.schema import Source
 from shared.wire.codec import Codec
 from shared.wire.messages import TimedProjector
 from tests.messages import altered, make_state

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robot_node.onboard import ModelledComputer, OnBoardRefresh, OnBoardWindow
-from shared.config import CorrectionConfig, RunConfig, SwitchConfig
+from shared.config.settings import CorrectionConfig, RunConfig, SwitchConfig
 from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import Projector
 from shared.wbc.whole_body import TimedProjector

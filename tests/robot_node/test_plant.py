@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 
 from robot_node.plant import MujocoPlant, from_mujoco, to_mujoco, world_from_base
-from shared.motion.reference import Standing
+from shared.motion.standing import Standing
 from shared.robots import CATALOGUE, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel

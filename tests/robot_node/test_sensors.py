@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from robot_node.sensors import Sensors
-from shared.config import SensorConfig
+from shared.config.settings import SensorConfig
 
 NOISY = SensorConfig(joint_position_noise=1e-2, joint_velocity_noise=0.1)
 

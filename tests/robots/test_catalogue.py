@@ -4,8 +4,8 @@ import dataclasses
 
 import pytest
 
-from shared.config import TASKS, RunConfig
-from shared.config_file import load_config
+from shared.config.config_file import load_config
+from shared.config.settings import TASKS, RunConfig
 from shared.errors import ConfigError
 from shared.robots import CATALOGUE, load_robot
 from shared.robots.description import robots_folder

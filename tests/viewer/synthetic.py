@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from shared.robots import Robot
-from shared.telemetry import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared.config import RunConfig
-from shared.config_file import load_config
+from shared.config.config_file import load_config
+from shared.config.settings import RunConfig
 from shared.robots import CATALOGUE, load_robot
 from viewer.blueprint import camera, compared_layout, layout
 from viewer.plots import ACTIVE_SET_PATH, LINKS, OVERRUN_PATH, SOLVE_SERIES, TICK_SERIES

@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.motion.plan import make_motion
-from shared.motion.reference import Standing
+from shared.motion.standing import Standing
 from shared.motion.walking import Walking
 from shared.robots import Foot, Robot
 from shared.wbc.model import WholeBodyModel

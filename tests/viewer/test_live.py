@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from shared.bus.zenoh_bus import ZenohBus
-from shared.config import RunConfig
-from shared.config_file import dump_config
+from shared.config.config_file import dump_config
+from shared.config.settings import RunConfig
 from shared.errors import LinkError, UserError
 from shared.robots import Robot
-from shared.telemetry import encode_rows
+from shared.telemetry.row_log import encode_rows
 from shared.wire.channels import LINK_KEY, TICKS_KEY
 from tests.processes import PATIENCE_SECONDS, Process, until
 from tests.telemetry_hub import is_heard

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from shared.config import RunConfig
-from shared.config_file import dump_config
-from shared.entry import python
+from shared.config.config_file import dump_config
+from shared.config.settings import RunConfig
 from shared.errors import UserError
+from shared.process.entry import python
 from shared.robots import Robot
-from shared.telemetry import write_parquet
+from shared.telemetry.parquet import write_parquet
 from tests.processes import played
 from tests.viewer.reading import entities, static
 from tests.viewer.synthetic import link_rows, solve_rows, tick_rows

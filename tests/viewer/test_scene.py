@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.errors import UserError
 from shared.robots import Robot
-from shared.telemetry import Column, Schema, tick_schema
+from shared.telemetry.schema import Column, Schema, tick_schema
 from tests.viewer.reading import entities, logged, static
 from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
 from viewer.plots import GREEN, RED

@@ -10,12 +10,12 @@ from PIL import Image
 
 from experiments.lockstep import Lockstep
 from experiments.trial import write_run
-from shared.config import RunConfig
-from shared.config_file import dump_config
-from shared.entry import python
+from shared.config.config_file import dump_config
+from shared.config.settings import RunConfig
 from shared.errors import UserError
+from shared.process.entry import python
 from shared.robots import Robot
-from shared.telemetry import write_parquet
+from shared.telemetry.parquet import write_parquet
 from tests.processes import played
 from tests.viewer.reading import entities
 from tests.viewer.synthetic import tick_rows

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from shared.config import RunConfig
+from shared.config.settings import RunConfig
 from shared.wbc.contacts import ContactMode
 from shared.wbc.stack import Stack
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from shared.config_file import load_config
-from shared.motion.reference import Standing
+from shared.config.config_file import load_config
+from shared.motion.standing import Standing
 from shared.robots import CATALOGUE, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.stack import Stack

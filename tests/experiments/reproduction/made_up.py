@@ -9,9 +9,9 @@ from typing import Any
 
 import tomli_w
 
-from experiments.course import Course, Outcome, Trial
-from experiments.study import read_study
-from experiments.trial_table import write_trials
+from experiments.studies.study_file import read_study
+from experiments.studies.trial_sequence import Course, Outcome, Trial
+from experiments.studies.trial_table import write_trials
 from netem.networks import load_profile
 
 # Of a trial: CoM error [m] and violation [m/s²], or None, it fell.

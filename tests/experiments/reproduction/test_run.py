@@ -13,8 +13,8 @@ from experiments.reproduction.compute_times import LOCAL, QP, ComputeTimes, Mess
 from experiments.reproduction.report import add_report_arguments, run_report
 from experiments.reproduction.run import NAMES, add_run_arguments, chosen, run_reproduction
 from experiments.reproduction.sections import SECTIONS, STUDIES
-from experiments.study import read_study
-from experiments.trial_table import read_trials
+from experiments.studies.study_file import read_study
+from experiments.studies.trial_table import read_trials
 from shared.errors import ConfigError
 from tests.experiments.reproduction.made_up import finished
 

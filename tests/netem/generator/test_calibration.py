@@ -19,7 +19,7 @@ from netem.generator.channel import BUILDING, SCENARIOS
 from netem.generator.generate import generate_set
 from netem.profile import DelayProfile
 from netem.statistics import LINKS
-from shared.cli import Command, run, run_command
+from shared.process.cli import Command, run, run_command
 
 MS = 1_000_000
 # One seed, not one per scenario until it fits; `docs/results/network-model.txt` has twelve more.

@@ -20,8 +20,8 @@ from netem.generator.generate import (
 from netem.generator.queueing import delays_ns, departures
 from netem.profile import DIRECTIONS, DOWNLINK, LOST, UPLINK
 from netem.profile_file import read_profile
-from shared.cli import Command, run, run_command
 from shared.errors import ConfigError
+from shared.process.cli import Command, run, run_command
 
 MS = 1_000_000
 capacities = st.lists(st.integers(0, 50), min_size=1, max_size=30).map(np.array)

@@ -11,8 +11,8 @@ import pytest
 from netem.convert import add_convert_arguments, run_convert
 from netem.profile import DelayProfile
 from netem.profile_file import read_profile
-from shared.cli import Parser
 from shared.errors import UserError
+from shared.process.cli import Parser
 
 SAMPLES = Path(__file__).parent / "samples"
 

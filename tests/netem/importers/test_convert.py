@@ -8,8 +8,8 @@ from netem.importers.formats import FORMATS
 from netem.networks import SHIPPED, load_profile
 from netem.profile import DOWNLINK, UPLINK
 from netem.profile_file import read_profile
-from shared.entry import python
 from shared.errors import ProfileError
+from shared.process.entry import python
 from tests.netem.importers.conftest import run
 from tests.processes import played
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from netem.recorder.record import add_record_arguments, run_record
-from shared.cli import Command, run, run_command
+from shared.process.cli import Command, run, run_command
 
 NEAR = ("--connect", "tcp/127.0.0.1:1")
 

@@ -18,7 +18,7 @@ from netem.recorder.probe import Instant, ProbeSettings
 from netem.recorder.probe_far import FarEnd
 from netem.recorder.probe_near import NearEnd
 from netem.recorder.recording import estimate_clock, reconstruct
-from shared.quantities import parse_outage
+from shared.config.quantities import parse_outage
 
 MS = 1_000_000
 SETTINGS = ProbeSettings(period_ns=MS, uplink_bytes=200, downlink_bytes=400)

@@ -1,0 +1,1 @@
+"""A stack in the background: its registry, its state, its control socket."""

@@ -1,0 +1,233 @@
+"""The stack in the background: what runs, what it says, one service again, all of it ended.
+
+These are about the stacks that `./deploy/up -d` started from this copy of the project; with `--run`
+about any run's folder, also one whose `up` is in another terminal.
+"""
+
+from __future__ import annotations
+
+from remote_wbc import begin
+
+begin(__name__)
+
+import argparse
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from deploy.background.registry import Registry
+from deploy.background.state import ENDED, StackFolder, StackState, exit_in_words
+from deploy.console.terminal import Terminal, said
+from deploy.services import load_services
+from shared.errors import ConfigError, LinkError
+from shared.process.cli import (
+    EXIT_ERROR,
+    EXIT_INTERRUPTED,
+    EXIT_STANDING,
+    Command,
+    run,
+    run_command,
+)
+
+_POLL_SECONDS = 0.1
+# Beyond what the services themselves may take to start or to end.
+_PATIENCE_SECONDS = 120.0
+
+Found = list[tuple[StackFolder, StackState]]
+
+
+def main() -> int:
+    return run_command("deploy", __doc__, _COMMANDS)
+
+
+def _add_choice(parser: argparse.ArgumentParser) -> None:
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--name", help="only the stack of the robot of this name")
+    which.add_argument("--run", metavar="DIR", type=Path, help="the stack of this run's folder")
+
+
+def _add_logs_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-f", "--follow", action="store_true", help="go on until the stack ends")
+    parser.add_argument("service", nargs="?", metavar="SERVICE", help="only what this one says")
+    _add_choice(parser)
+
+
+def _add_restart_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("service", metavar="SERVICE")
+    _add_choice(parser)
+
+
+def _stacks(arguments: argparse.Namespace) -> Found:
+    """Those that are meant: all that run, or the one that ended last."""
+    if arguments.run is not None:
+        stack = StackFolder(arguments.run)
+        return [(stack, stack.read())]
+    return Registry().current(robot=arguments.name)
+
+
+def _one_with(service: str | None, arguments: argparse.Namespace) -> tuple[StackFolder, StackState]:
+    """The stack that is meant; `ConfigError` if there is none, or if there are several."""
+    found = _stacks(arguments)
+    if not found:
+        raise ConfigError("no stack was started in the background; ./deploy/up -d starts one")
+    declared = load_services()
+    if service is not None and service not in declared:
+        raise ConfigError(f"service: expected one of {', '.join(declared)}, got {service!r}")
+    having = [each for each in found if service is None or service in each[1].named]
+    if not having:
+        named = dict.fromkeys(name for _, state in found for name in state.named)
+        raise ConfigError(f"service: expected one of {', '.join(named)}, got {service!r}")
+    if len(having) > 1:
+        runs = ", ".join(str(stack.run) for stack, _ in having)
+        raise ConfigError(f"several stacks run: say which by --name or --run; {runs}")
+    return having[0]
+
+
+def ps(arguments: argparse.Namespace) -> int:
+    """Every stack that runs and its services; else how the last one ended."""
+    found = _stacks(arguments)
+    if not any(stack.alive for stack, _ in found):
+        print("nothing is running")
+    for stack, state in found:
+        print(*_told(stack, state, alive=stack.alive, now=time.time()), sep="\n")
+    return EXIT_STANDING
+
+
+def _told(stack: StackFolder, state: StackState, *, alive: bool, now: float) -> list[str]:
+    """A stack in words, and a table of its services."""
+    since = _time_of_day(state.since, now)
+    if alive:
+        lines = [f"{stack.run}: {state.robot}, {state.state} since {since}, pid {state.pid}"]
+    elif state.state == ENDED:
+        lines = [f"{stack.run}: ended {since} (exit {state.exit_code}): {state.outcome}"]
+    else:
+        lines = [f"{stack.run}: its supervisor was killed; its services end with it"]
+    lines.append(f"  {'SERVICE':<8} {'PID':>7}  {'STATE':<16} {'SINCE':<26} RESTARTS")
+    started = {service.name: service for service in state.services}
+    for name in state.named:
+        service = started.get(name)
+        if service is None:
+            lines.append(f"  {name:<8} {'-':>7}  not started")
+            continue
+        ended = service.state == ENDED or not alive
+        code = service.exit_code
+        exited = ENDED if code is None else f"{ENDED} ({exit_in_words(code)})"
+        lines.append(
+            f"  {name:<8} {'-' if ended else service.pid:>7}  "
+            f"{exited if ended else service.state:<16} "
+            f"{_time_of_day(service.since, now):<26} {service.restarts}"
+        )
+    return lines
+
+
+def _time_of_day(seconds: float, now: float) -> str:
+    ago = max(0, round(now - seconds))
+    parts = [(ago // 86400, "d"), (ago // 3600 % 24, "h"), (ago // 60 % 60, "min"), (ago % 60, "s")]
+    told = [f"{value} {unit}" for value, unit in parts if value][:2] or ["0 s"]
+    return f"{time.strftime('%H:%M:%S', time.localtime(seconds))} ({' '.join(told)} ago)"
+
+
+def logs(arguments: argparse.Namespace) -> int:
+    """What a stack or one of its services has said."""
+    stack, _ = _one_with(arguments.service, arguments)
+    service = arguments.service
+    file = stack.log if service is None else stack.run / f"{service}.log"
+    terminal = Terminal()
+    for line in _lines(file, stack if arguments.follow else None):
+        told = said(line) if service is None else (service, line)
+        if told is None:
+            terminal.tell(line)
+        else:
+            terminal.say(*told)
+    return EXIT_STANDING
+
+
+def _lines(file: Path, following: StackFolder | None) -> Iterator[str]:
+    """Lines of a file; of one that is still written, as long as a stack lives."""
+    while following is not None and following.alive and not file.exists():
+        time.sleep(_POLL_SECONDS)
+    rest = ""
+    with contextlib.suppress(FileNotFoundError), file.open(encoding="utf-8") as reader:
+        while True:
+            # Asked first: what a stack wrote before it ended is still read.
+            alive = following is not None and following.alive
+            for chunk in reader:
+                rest += chunk
+                if rest.endswith("\n"):
+                    yield rest.rstrip("\n")
+                    rest = ""
+            if not alive:
+                break
+            time.sleep(_POLL_SECONDS)
+    if rest:
+        yield rest
+
+
+def restart(arguments: argparse.Namespace) -> int:
+    """End one service and start it again; returns when it is ready."""
+    # Imported here: asyncio takes as long as all that the other commands need.
+    from deploy.background.control_server import order_restart
+
+    stack, _ = _one_with(arguments.service, arguments)
+    if not stack.alive:
+        raise ConfigError("nothing is running; ./deploy/up -d starts a stack")
+    service = load_services()[arguments.service]
+    patience = service.stop_seconds + service.ready_seconds + _PATIENCE_SECONDS
+    order_restart(stack, service.name, within_seconds=patience)
+    print(f"{service.name} is ready again")
+    return EXIT_STANDING
+
+
+def down(arguments: argparse.Namespace) -> int:
+    """End every stack; 0, or 3 if a robot had fallen, or 2 if one had ended by an error."""
+    found = _stacks(arguments)
+    running = [each for each in found if each[0].alive]
+    if not running:
+        print("nothing is running")
+    for stack, state in running:
+        # A robot that has run for an hour takes minutes to write what it has measured.
+        print(f"{stack.run}: stopping")
+        # It holds its lock, so this is still its process.
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(state.pid, signal.SIGTERM)
+    codes = [EXIT_STANDING]
+    for stack, state in found:
+        _wait_for_end(stack, state)
+        state = stack.read()
+        print(_told(stack, state, alive=False, now=time.time())[0])
+        if state.state != ENDED:
+            codes.append(EXIT_ERROR)
+        # What was asked for is no failure.
+        elif state.exit_code not in (None, EXIT_INTERRUPTED):
+            codes.append(state.exit_code)
+    return max(codes)
+
+
+def _wait_for_end(stack: StackFolder, state: StackState) -> None:
+    patience = _PATIENCE_SECONDS + max(each.stop_seconds for each in load_services().values())
+    deadline = time.monotonic() + patience
+    while stack.alive:
+        if time.monotonic() > deadline:
+            raise LinkError(
+                f"{stack.run} (pid {state.pid}) does not end within {patience:g} s; "
+                f"kill -9 {state.pid} ends it with its services"
+            )
+        time.sleep(_POLL_SECONDS)
+
+
+_COMMANDS = (
+    Command("ps", "what runs, or how it ended", _add_choice, ps),
+    Command("logs", "what the services have said", _add_logs_arguments, logs),
+    Command("restart", "end one service and start it again", _add_restart_arguments, restart),
+    Command("down", "end everything", _add_choice, down),
+)
+
+
+if __name__ == "__main__":
+    # A line that is being followed is to be seen at once.
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    run(main)

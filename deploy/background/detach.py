@@ -1,0 +1,68 @@
+"""A stack in the background: whoever starts it waits until it is ready and is then left alone."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+
+from shared.errors import LinkError
+from shared.process.entry import EXIT_INTERRUPTED
+
+_READY = b"ready"
+_ENDING = (signal.SIGINT, signal.SIGTERM)
+
+
+def in_background(play: Callable[[int], int]) -> int:
+    """Have a process of its own session run `play(ready_fd)`; returns in both, with an exit code.
+
+    Here 0 once `tell_ready(ready_fd, …)` was called, or its exit code if it ends before. Until then
+    it prints to this terminal, and a signal here ends it too. No thread may have been started yet.
+    """
+    told, telling = os.pipe()
+    sys.stdout.flush()
+    # Held back until there is somebody to be told of them.
+    unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+    process = os.fork()
+    if process == 0:
+        signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
+        os.close(told)
+        os.setsid()
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, 0)
+        os.close(nothing)
+        return play(telling)
+    os.close(telling)
+
+    def end(number: int, frame: FrameType | None) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process, signal.SIGTERM)
+
+    for number in _ENDING:
+        signal.signal(number, end)
+    signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
+    with os.fdopen(told, "rb") as reader:
+        if reader.read() == _READY:
+            return 0
+    code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    if code == -signal.SIGTERM:
+        return EXIT_INTERRUPTED
+    if code < 0:
+        raise LinkError(f"the stack was killed (signal {-code}) before it was ready")
+    return code
+
+
+def tell_ready(descriptor: int, errors: int) -> None:
+    """Say so to whoever waits, and let go of their terminal; what goes wrong goes to `errors`."""
+    sys.stdout.flush()
+    nothing = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nothing, sys.stdout.fileno())
+    os.dup2(errors, sys.stderr.fileno())
+    os.close(nothing)
+    # Whoever waited may have been killed.
+    with contextlib.suppress(BrokenPipeError):
+        os.write(descriptor, _READY)
+    os.close(descriptor)

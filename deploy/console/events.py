@@ -1,0 +1,136 @@
+"""What happens in a run, from its telemetry: pushes, and times in which nothing passes the link.
+
+Blocks arrive on the bus's threads, `take` is called by whoever tells a person. What the robot does
+about it, such as holding its joints, the robot says itself.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.output.report import DIRECTIONS
+from shared.telemetry.outages import OUTAGE, Change, LinkLane
+from shared.telemetry.schema import Schema
+
+# Worth a line if it lasted so long; said while it lasts if it lasts longer: what the shim reports
+# comes in blocks, and late on a busy machine.
+TOLD_NS = 150_000_000
+_SAID_NS = 500_000_000
+_UP = 0
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened, and the service it happened to."""
+
+    name: str
+    text: str
+
+
+class Events:
+    """Events of a run, and how many there were."""
+
+    def __init__(self) -> None:
+        self.pushes: list[str] = []
+        self.outages_ns: tuple[list[int], list[int]] = ([], [])
+        self._new: deque[Event] = deque()
+        self._pushed = False
+        # The robot sends all the time; answers may be rare.
+        self._lanes = (LinkLane(steady=True), LinkLane())
+        # Of the uplink, said while it lasts.
+        self._open_since_ns: int | None = None
+        # Task time minus the machine's clock; None before the task begins.
+        self._offset_ns: int | None = None
+        self._now_ns = 0
+
+    @property
+    def silence_ns(self) -> int:
+        """How long ago a state last came out of the shim; 0 without a shim."""
+        last_ns = self._lanes[_UP].last_arrival_ns
+        return 0 if last_ns is None else max(0, self._now_ns - last_ns)
+
+    def take_ticks(self, schema: Schema, rows: np.ndarray) -> None:
+        """Rows of the robot, in order."""
+        rows = rows[schema.column(rows, "time_ns") >= 0]
+        if not len(rows):
+            return
+        times_ns, forces = schema.column(rows, "time_ns"), schema.column(rows, "push_n")
+        self._now_ns = int(schema.column(rows, "wall_ns")[-1])
+        self._offset_ns = int(times_ns[-1]) - self._now_ns
+        pushed = np.any(forces != 0.0, axis=1)
+        before = np.concatenate([[self._pushed], pushed[:-1]])
+        for row in np.flatnonzero(pushed & ~before):
+            push = f"{_force_in_words(forces[row])} at {times_ns[row] * 1e-9:.2f} s"
+            self.pushes.append(push)
+            self._new.append(Event("robot", f"pushed with {push}"))
+        self._pushed = bool(pushed[-1])
+        # Of the downlink the robot tells meanwhile: the edge may have had nothing to say.
+        for since_ns, _ in self._lanes[_UP].silent(self._now_ns, OUTAGE, patience_ns=_SAID_NS):
+            self._open_since_ns = since_ns
+            self._add(f"nothing passes the uplink since {self._time(since_ns)}")
+
+    def take_link(self, schema: Schema, rows: np.ndarray) -> None:
+        """Rows of the shim, in order."""
+        directions = schema.column(rows, "direction")
+        for direction, lane in enumerate(self._lanes):
+            way = rows[directions == direction]
+            sent_ns = schema.column(way, "wall_ns").astype(np.int64)
+            changes = lane.add(sent_ns, schema.column(way, "achieved_ns").astype(np.int64))
+            if self._offset_ns is not None:
+                self._tell(direction, changes)
+
+    def take(self) -> list[Event]:
+        """Events since the last call."""
+        return [self._new.popleft() for _ in range(len(self._new))]
+
+    def in_words(self) -> str:
+        """What happened, in a line; empty if nothing did."""
+        parts = []
+        if self.pushes:
+            parts.append(f"pushed with {', '.join(self.pushes)}")
+        for name, outages_ns in zip(DIRECTIONS, self.outages_ns, strict=True):
+            if outages_ns:
+                longest = max(outages_ns) * 1e-9
+                parts.append(f"{name} stood still {len(outages_ns)} ×, at most {longest:.2f} s")
+        if self._open_since_ns is not None:
+            parts.append(f"nothing passed the uplink since {self._time(self._open_since_ns)}")
+        return "; ".join(parts)
+
+    def _tell(self, direction: int, changes: list[Change]) -> None:
+        """Outages that have ended; one was said before if it is still open."""
+        if not changes:
+            return
+        said_ns = since_ns = self._open_since_ns if direction == _UP else None
+        name = DIRECTIONS[direction]
+        for at_ns, state in changes:
+            if state == OUTAGE:
+                since_ns = at_ns
+            elif since_ns is not None:
+                lasted_ns = at_ns - since_ns
+                if lasted_ns >= TOLD_NS:
+                    self.outages_ns[direction].append(lasted_ns)
+                    after = f"after {lasted_ns * 1e-9:.2f} s"
+                    self._add(f"the {name} passes again at {self._time(at_ns)}, {after}")
+                elif since_ns == said_ns:
+                    self._add(f"the {name} passes; its report was late")
+        if direction == _UP:
+            self._open_since_ns = None
+
+    def _add(self, text: str) -> None:
+        self._new.append(Event("netem", text))
+
+    def _time(self, wall_ns: int) -> str:
+        assert self._offset_ns is not None
+        return f"{(wall_ns + self._offset_ns) * 1e-9:.2f} s"
+
+
+def _force_in_words(force: np.ndarray) -> str:
+    """A force [N] in the world: along an axis, or by its components."""
+    axis = int(np.argmax(np.abs(force)))
+    if np.count_nonzero(force) > 1:
+        return f"({', '.join(f'{part:.0f}' for part in force)}) N"
+    return f"{abs(force[axis]):.0f} N to {'-' if force[axis] < 0 else '+'}{_AXES[axis]}"

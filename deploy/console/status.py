@@ -1,0 +1,125 @@
+"""The state of a run in one line, as wide as the terminal: with the link's delay over time."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+
+from deploy.console.events import TOLD_NS, Event, Events
+from shared.bus.base import Delivery
+from shared.telemetry.row_log import decode_rows
+from shared.telemetry.schema import Schema, Source
+from shared.wbc.contacts import ContactMode
+
+_BARS = "▁▂▃▄▅▆▇█"
+# What the lowest and the highest bar stand for, by powers of ten in between [ms].
+_LEAST_MS, _MOST_MS = 1.0, 1000.0
+# How many of them are shown.
+_LONGEST, _SHORTEST = 40, 8
+_FEET = {
+    ContactMode.DOUBLE_SUPPORT: "both feet",
+    ContactMode.LEFT_SUPPORT: "left foot",
+    ContactMode.RIGHT_SUPPORT: "right foot",
+}
+
+
+class Status:
+    """The latest of what the services publish, and the events in it."""
+
+    def __init__(self, *, duration: float, walks: bool = False) -> None:
+        self.events = Events()
+        self._duration = duration
+        self._walks = walks
+        self._tick: tuple[Schema, np.ndarray] | None = None
+        self._delay_ms: list[float | None] = [None, None]
+        self._lost = [False, False]
+        self._delays_ms: deque[float] = deque(maxlen=_LONGEST)
+
+    def take_ticks(self, delivery: Delivery) -> None:
+        """Block of the robot's rows."""
+        schema, rows = self._tick = decode_rows(delivery.data)
+        self.events.take_ticks(schema, rows)
+        delay_ms = self._round_trip_ms(schema, rows)
+        if delay_ms is not None:
+            self._delays_ms.append(delay_ms)
+
+    def take_link(self, delivery: Delivery) -> None:
+        """Block of the shim's rows."""
+        schema, rows = decode_rows(delivery.data)
+        self.events.take_link(schema, rows)
+        directions, achieved = schema.column(rows, "direction"), schema.column(rows, "achieved_ns")
+        for direction in (0, 1):
+            way = achieved[directions == direction]
+            if way.size:
+                self._lost[direction] = bool(way[-1] < 0)
+                if way[-1] >= 0:
+                    self._delay_ms[direction] = way[-1] * 1e-6
+
+    def take_events(self) -> list[Event]:
+        """Events since the last call."""
+        return self.events.take()
+
+    def line(self, columns: int = 160) -> str:
+        """One line of at most so many columns, from the left what matters most.
+
+        Says that it waits until the robot has begun.
+        """
+        if self._tick is None:
+            return "waiting for the robot"[:columns]
+        schema, rows = self._tick
+        last = {name: rows[-1, where][0] for name, where in schema.slices.items()}
+        time_ns = last["time_ns"]
+        if time_ns < 0:
+            return "robot waits for its first projector"[:columns]
+        source, age_ns = Source(last["source"]).label, last["projector_age_ns"]
+        before = f"t {time_ns * 1e-9:5.2f}/{self._duration:g} s | {source:<9}"
+        link = f" | link up {self._way(0)} down {self._way(1)} ms "
+        after = " push!" if np.any(schema.column(rows, "push_n")) else ""
+        parts = [f"projector age {age_ns * 1e-6:.1f} ms"] if age_ns >= 0 else []
+        parts.append(f"CoM error {100 * last['com_error_m']:.1f} cm")
+        if self._walks:
+            parts.append(f"{_FEET[ContactMode(int(last['mode']))]:<10}")
+        parts.append(f"overruns {int(last['overruns'])}")
+        room = columns - len(before + link + after)
+        shortest = _SHORTEST if self._delays_ms else 0
+        for part in parts:
+            if room - len(part) - 3 < shortest:
+                break
+            after += f" | {part}"
+            room -= len(part) + 3
+        if shortest and room > 0:
+            longest = min(room, _LONGEST)
+            link += sparkline(list(self._delays_ms)[-longest:]).ljust(longest)
+        return (before + link + after)[:columns]
+
+    def _way(self, direction: int) -> str:
+        if self._lost[direction]:
+            return "lost"
+        delay_ms = self._delay_ms[direction]
+        return "-" if delay_ms is None else f"{delay_ms:.1f}"
+
+    def _round_trip_ms(self, schema: Schema, rows: np.ndarray) -> float | None:
+        """There and back, or as long as nothing has come through at all: by the last state, or by
+        the age of the answer in use if it is used as it came. Without a shim here it is that age.
+        """
+        source = Source(schema.column(rows, "source")[-1]).label
+        age_ns = float(schema.column(rows, "projector_age_ns")[-1])
+        as_it_came = source in ("fresh", "cached") and age_ns >= 0
+        if self._delay_ms[0] is None:
+            return age_ns * 1e-6 if as_it_came else None
+        known = sum(delay for delay in self._delay_ms if delay is not None)
+        waited_ns = max(self.events.silence_ns, age_ns if as_it_came else 0)
+        return max(known, waited_ns * 1e-6) if waited_ns >= TOLD_NS else known
+
+
+def sparkline(delays_ms: Iterable[float]) -> str:
+    """A bar per delay, from 1 ms to 1 s by powers of ten; so that runs can be compared."""
+    decades = math.log10(_MOST_MS / _LEAST_MS)
+    bars = ""
+    for delay in delays_ms:
+        part = math.log10(max(delay, _LEAST_MS) / _LEAST_MS) / decades
+        bars += _BARS[min(int(part * len(_BARS)), len(_BARS) - 1)]
+    return bars

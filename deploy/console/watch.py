@@ -1,0 +1,85 @@
+"""A run in lines, apart from what runs it: the telemetry hub, what passes it, and the summary.
+
+`python -m deploy.console.watch --listen tcp/0.0.0.0:7450`: robot, shim and viewer find one another
+there. `./deploy/up` has a hub of its own. Ended after the services, it sums up the files that they
+have left in `--out`.
+"""
+
+from __future__ import annotations
+
+from remote_wbc import begin
+
+begin(__name__)
+
+import time
+from pathlib import Path
+
+from deploy.console.status import Status
+from deploy.console.terminal import Terminal
+from deploy.outcome import SUMMARY, summarise
+from shared.bus.zenoh_bus import ZenohBus
+from shared.config.settings import RunConfig
+from shared.output.report import summary_in_words
+from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
+from shared.process.service import StopSignal
+from shared.wire.channels import LINK_KEY, TICKS_KEY
+
+_ENDPOINT = "tcp/127.0.0.1:7450"
+_PERIOD_SECONDS = 0.1
+
+
+def main() -> int:
+    parser = Parser(prog="deploy.console.watch", description=__doc__)
+    parser.add_argument(
+        "--listen", metavar="ENDPOINT", default=_ENDPOINT, help="(default %(default)s)"
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="where the services write: summed up at the end"
+    )
+    add_run_arguments(parser)
+    arguments = parser.parse_args()
+    config = config_from(arguments)
+    if arguments.out is not None:
+        # Of an earlier run: this one may come to nothing.
+        (arguments.out / SUMMARY).unlink(missing_ok=True)
+    stop = StopSignal()
+    status, terminal = status_of(config), Terminal()
+    hub = open_hub(arguments.listen, status, robot=config.robot.name)
+    print(f"READY {arguments.listen}", flush=True)
+    while not stop.requested:
+        tell(status, terminal)
+        time.sleep(_PERIOD_SECONDS)
+    terminal.clear()
+    hub.close()
+    told = status.events.in_words()
+    if told:
+        print(told, flush=True)
+    if arguments.out is not None:
+        result = summarise(arguments.out, config)
+        told = summary_in_words(result) if result else "no summary: the robot left no report"
+        print(told, flush=True)
+    return EXIT_STANDING
+
+
+def status_of(config: RunConfig) -> Status:
+    """A status line for a run."""
+    return Status(duration=config.duration, walks=config.task == "walk")
+
+
+def open_hub(endpoint: str, status: Status, *, robot: str) -> ZenohBus:
+    """The hub that services of a run report to; `robot` is the kind, not the name on the link."""
+    hub = ZenohBus(listen=[endpoint], mode="router")
+    hub.subscribe(TICKS_KEY.format(robot=robot), status.take_ticks)
+    hub.subscribe(LINK_KEY, status.take_link)
+    return hub
+
+
+def tell(status: Status, terminal: Terminal) -> None:
+    """What is new, and how things are."""
+    for event in status.take_events():
+        terminal.say(event.name, event.text)
+    terminal.show(status.line(terminal.columns))
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,1 @@
+"""Studies: many lockstep trials, played on all cores and kept as they finish."""

@@ -1,0 +1,111 @@
+"""Limits that bisections have found: how far each seed of each cell stands, and their median.
+
+A bisection takes the robot to be monotone: if it falls at some value of the setting, it falls at
+every larger one. Its limit is then where standing ends, to within the resolution. A robot that is
+not monotone stands again beyond a value at which it fell; the number is then *a* place between
+`low` and `high` where standing at one value and falling at another are that close, of which there
+are several, and not the largest value at which it stands. Only the values in the table were played.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from experiments.studies.study import Study, value_in_words
+from experiments.studies.trial_table import errors_in_words
+from shared.errors import ConfigError
+from shared.output.text_table import aligned
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Where standing ends for one seed of a cell.
+
+    `label` is what tells the cell from the others, without the bisected setting and the seed.
+    `standing` is the largest integer that stood, `low` if none did; `falling` the smallest that
+    fell, None if the robot stood at `high`. Both are None where a bisection has not come to its
+    end: it is still to be played, or a trial of it ended with an error.
+    """
+
+    label: dict[str, Any]
+    seed: int
+    standing: int | None
+    falling: int | None
+
+
+@dataclass(frozen=True)
+class MedianInterval:
+    """A median, and an interval that holds the true one with probability `coverage` or more."""
+
+    median: float
+    low: float
+    high: float
+    coverage: float
+
+
+def limits(study: Study, rows: Sequence[dict[str, Any]]) -> list[Limit]:
+    """The limit of every cell and seed, by cell and seed, from the rows of a sweep."""
+    if study.bisection is None:
+        raise ConfigError(f"study {study.name}: expected one with [bisect], got one without limits")
+    found = [
+        Limit(study.cells[course.cell].shown, course.seed, *(course.bracket or (None, None)))
+        for course, _ in study.courses_of(rows)
+    ]
+    by_cell = [cell.shown for cell in study.cells]
+    return sorted(found, key=lambda limit: by_cell.index(limit.label))
+
+
+def median_interval(values: Sequence[float], *, confidence: float = 0.95) -> MedianInterval:
+    """Median with a distribution-free interval from order statistics.
+
+    How many of n independent values lie below the true median is binomial with p = 1/2, so that
+    the k-th smallest and the k-th largest hold it between them with probability
+    1 − 2 Σ_{i<k} C(n, i)/2ⁿ, more where values coincide. k is the largest whose coverage is at
+    least `confidence`, or 1 if none is (n < 6 for 95 %): then `coverage` is less than asked for.
+    A value that is only known to be as large, as of who stood at `high`, may be put in as such.
+    """
+    if not values:
+        raise ValueError("expected at least one value")
+    ordered, n = sorted(values), len(values)
+    k = 1
+    while 2 * (k + 1) <= n + 1 and _coverage(k + 1, n) >= confidence:
+        k += 1
+    median = (ordered[(n - 1) // 2] + ordered[n // 2]) / 2
+    return MedianInterval(median, ordered[k - 1], ordered[n - k], _coverage(k, n))
+
+
+def limits_in_words(study: Study, found: Sequence[Limit], rows: Sequence[dict[str, Any]]) -> str:
+    """One line per cell, for a person: the limits of its seeds, and their median."""
+    assert study.bisection is not None
+    of, high = study.bisection, study.bisection.high
+    settings = list(study.cells[0].shown)
+    lines = [[*settings, "limits", "median", "interval of the median", "least", "most"]]
+    for cell in study.cells:
+        values = [
+            limit.standing
+            for limit in found
+            if limit.label == cell.shown and limit.standing is not None
+        ]
+        named = [value_in_words(value) for value in cell.shown.values()]
+        if not values:
+            lines.append([*named, "0", *"----"])
+            continue
+        middle = median_interval(values)
+        low, median, top, least, most = (
+            f"{'≥ ' * (value == high)}{value:g}"
+            for value in (middle.low, middle.median, middle.high, min(values), max(values))
+        )
+        interval = f"{low} … {top} ({100 * middle.coverage:.1f} %)"
+        lines.append([*named, str(len(values)), median, interval, least, most])
+    told = (
+        f"the largest n that stood, {of.setting} = {value_in_words(of.values[of.setting])}, n from "
+        f"{of.low} to {of.high}, to within {of.resolution}"
+    )
+    return "\n".join([told, *aligned(lines), *errors_in_words(rows)])
+
+
+def _coverage(k: int, n: int) -> float:
+    return 1.0 - 2.0 * sum(math.comb(n, i) for i in range(k)) / 2**n

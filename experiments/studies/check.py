@@ -1,0 +1,196 @@
+"""Plays trials of a finished sweep again and compares their rows: `check DIR --sample 20`.
+
+`DIR` holds `study.toml`, `trials.parquet` and `about.json`, as a sweep leaves them; the journal is
+not needed. Rows are compared in every column but those that hold times of the machine: to the last
+bit where that must hold, else within the tolerances of `experiments.studies.rounding`, with the
+reason.
+"""
+
+from __future__ import annotations
+
+# isort: off
+import shared.process.native_libraries  # noqa: F401
+
+# isort: on
+import argparse
+import contextlib
+import json
+import secrets
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.studies.about import commit_in_words
+from experiments.studies.code_identity import code_version, present_identity
+from experiments.studies.progress import Progress
+from experiments.studies.rounding import ABSOLUTE, FALL_SECONDS, RELATIVE, beyond, differences
+from experiments.studies.study import Study, value_in_words
+from experiments.studies.study_file import read_study
+from experiments.studies.sweep import workers_from
+from experiments.studies.trial_sequence import Trial
+from experiments.studies.trial_table import read_trials, row_of
+from experiments.studies.workers import players
+from shared.errors import ConfigError
+from shared.process.cli import EXIT_STANDING
+
+EXIT_DIFFERENT = 1
+# Fields of a summary that are measured on the machine, not simulated.
+_MEASURED = ("robot_tick_ms.", "edge_solve_ms.", "realtime_factor")
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A row of the table that is not what playing its trial gives; `said` tells why.
+
+    `rounding`: no more than another rounding explains.
+    """
+
+    number: int
+    said: str
+    rounding: bool = False
+
+
+def add_check_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `check`."""
+    parser.add_argument("folder", type=Path, metavar="DIR", help="of a finished sweep")
+    parser.add_argument(
+        "--sample", type=int, metavar="N", default=10, help="how many trials (default %(default)s)"
+    )
+    parser.add_argument("--seed", type=int, metavar="S", help="of the drawing; default: any")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+
+
+def run_check(arguments: argparse.Namespace) -> int:
+    """Play a sample again; 0 if all rows are identical, 1 if one differs."""
+    folder, workers = arguments.folder, workers_from(arguments.workers)
+    if arguments.sample < 1:
+        raise ConfigError(f"--sample: expected at least 1, got {arguments.sample}")
+    rows, study = read_trials(folder).to_pylist(), read_study(folder)
+    try:
+        about = json.loads((folder / "about.json").read_text(encoding="utf-8"))
+        code, commit = about["code"], commit_in_words(about)
+        reasons = differences(about)
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise ConfigError(
+            f"expected the folder of a finished sweep, got {folder}: no about.json with the "
+            f"version of its code ({type(error).__name__})"
+        ) from None
+    if present_identity(code) != code_version():
+        print(
+            f"the code is another: {folder} was played with {code}, at commit {commit}, "
+            f"this is {code_version()}; rows may differ for that",
+            file=sys.stderr,
+        )
+    seed = secrets.randbelow(2**32) if arguments.seed is None else arguments.seed
+    if seed < 0:
+        raise ConfigError(f"--seed: expected at least 0, got {seed}")
+    print(_expected(reasons))
+    trials, different = matched(study, rows)
+    numbers = sorted(trials)
+    count = min(arguments.sample, len(numbers))
+    drawn = sorted(np.random.default_rng(seed).choice(numbers, count, replace=False).tolist())
+    played = {number: trials[number] for number in drawn}
+    different += replayed(study, rows, played, workers, exact=not reasons)
+    for difference in sorted(different, key=lambda each: each.number):
+        label = named(study, rows[difference.number])
+        how = "differs by rounding" if difference.rounding else "differs"
+        print(f"row {difference.number} ({label}) {how}: {difference.said}")
+    rounded = sum(each.rounding for each in different)
+    wrong = len(different) - rounded
+    print(
+        f"{count} of {len(rows)} trials played again (--seed {seed}): "
+        + "; ".join(
+            [
+                *[f"rows that differ: {wrong}"] * (wrong > 0),
+                *[f"rows that differ by rounding alone: {rounded}"] * (rounded > 0),
+            ]
+            or ["all rows identical"]
+        )
+    )
+    return EXIT_DIFFERENT if wrong else EXIT_STANDING
+
+
+def _expected(reasons: Sequence[str]) -> str:
+    """What must hold here, for a person."""
+    if not reasons:
+        return "expected to the last bit: processor, BLAS kernel and packages round as there"
+    return (
+        f"expected within {RELATIVE:g} (or {ABSOLUTE:g}), a fall within {FALL_SECONDS:g} s, as "
+        f"this machine rounds otherwise: {'; '.join(reasons)}"
+    )
+
+
+def matched(study: Study, rows: Sequence[Row]) -> tuple[dict[int, Trial], list[Difference]]:
+    """The trials of a study by the number of their row, and the rows that are none of its trials.
+
+    A bisection is followed from the outcomes in the rows: a trial that it would not have asked for
+    after them is none of its trials.
+    """
+    trials = {
+        number: trial
+        for course, numbers in study.courses_of(rows)
+        for number, trial in zip(numbers, course.played, strict=True)
+    }
+    unknown = "the study has no such trial"
+    if study.bisection is not None:
+        unknown += ", or would not have come to it by the others"
+    strangers = [Difference(k, unknown) for k in range(len(rows)) if k not in trials]
+    return trials, strangers
+
+
+def replayed(
+    study: Study, rows: Sequence[Row], trials: dict[int, Trial], workers: int, *, exact: bool = True
+) -> list[Difference]:
+    """Rows that differ from those of their trials, played again.
+
+    Where that cannot be `exact`, rounding is told from other differences.
+    """
+    number_of = {id(trial): number for number, trial in trials.items()}
+    different = []
+    progress = Progress(done=0, falls=0, left=len(trials))
+    with contextlib.closing(progress), players(workers) as team:
+        for trial in trials.values():
+            team.submit(trial)
+        for left in reversed(range(len(trials))):
+            trial, record = team.finished()
+            again, number = row_of(trial, record, study.columns), number_of[id(trial)]
+            if names := changed(rows[number], again):
+                more = names if exact else beyond(rows[number], again, names)
+                said = difference(rows[number], again, more or names)
+                different.append(Difference(number, said, rounding=not more))
+            progress.finished(fell=bool(again["fell"]), left=left)
+    return different
+
+
+def changed(row: Row, again: Row) -> list[str]:
+    """The columns in which two rows differ, measured times aside."""
+    return [
+        name
+        for name in {**row, **again}
+        if not name.startswith(_MEASURED)
+        and (name not in row or name not in again or row[name] != again[name])
+    ]
+
+
+def difference(row: Row, again: Row, names: Sequence[str]) -> str:
+    """What two rows have in these columns, for a person."""
+    return "; ".join(
+        f"{name} is {_cell(row, name)}, played again {_cell(again, name)}" for name in names
+    )
+
+
+def named(study: Study, row: Row) -> str:
+    """What tells a row from the others, for a person."""
+    names = [*study.cells[0].shown, *study.varied, "seed"]
+    shown = [name for name in dict.fromkeys(names) if name in row]
+    return ", ".join(f"{name}={value_in_words(row[name])}" for name in shown)
+
+
+def _cell(row: Row, name: str) -> str:
+    return repr(row[name]) if name in row else "not there"

@@ -1,0 +1,72 @@
+"""Which code a trial ran through, as a hash: of what the sources do, not of what they say.
+
+Comments, docstrings and layout are free to change; a constant or a name is not. Trials from before
+2026-12 have hashes of the files' bytes in their `about.json` and journals. `published_codes.toml`
+maps those of the published ones; a test derives both hashes from the commit that it names.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from shared.config.toml_file import read_toml
+
+ROOT = Path(__file__).parents[2]
+# What a trial runs through; studies and pictures can change without making trials void.
+PARTS = ("shared", "robot_node", "edge_node", "netem", "experiments/lockstep.py")
+
+
+@functools.cache
+def code_version() -> str:
+    """Identity of the sources that a trial runs through, as this process first saw them."""
+    parts = [ROOT / name for name in PARTS]
+    files: Iterable[Path] = (
+        path for part in parts for path in ([part] if part.is_file() else part.rglob("*.py"))
+    )
+    return identity({path.relative_to(ROOT).as_posix(): path.read_bytes() for path in files})
+
+
+def identity(sources: Mapping[str, bytes]) -> str:
+    """Identity of Python sources by their path below the project's folder."""
+    digest = hashlib.sha256()
+    for name in sorted(sources, key=lambda path: path.split("/")):
+        digest.update(f"{name}\0{_content(ast.parse(sources[name]))}\0".encode())
+    return digest.hexdigest()[:16]
+
+
+def present_identity(code: str) -> str:
+    """The identity of a code that a journal or an `about.json` names, if by its bytes."""
+    return _published().get(code, code)
+
+
+@functools.cache
+def _published() -> dict[str, str]:
+    table = read_toml(Path(__file__).with_name("published_codes.toml"), what="published codes")
+    return {each["of_bytes"]: each["identity"] for each in table["code"]}
+
+
+def _content(node: Any) -> Any:
+    """A syntax tree without docstrings, positions and empty fields, the same for every Python."""
+    if isinstance(node, list):
+        return [_content(each) for each in node]
+    if not isinstance(node, ast.AST):
+        return node
+    fields = []
+    for name, value in ast.iter_fields(node):
+        if (
+            name == "body"
+            and isinstance(node, _DOCUMENTED)
+            and ast.get_docstring(node, clean=False)
+        ):
+            value = value[1:]
+        if value not in (None, []):
+            fields.append((name, _content(value)))
+    return (type(node).__name__, *fields)
+
+
+_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)

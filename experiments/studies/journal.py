@@ -1,0 +1,78 @@
+"""Finished trials on disk: `trials.jsonl`, a line for each as it finishes, its whole summary in it.
+
+A trial is known by its identity, a hash of all its settings, and by the version of the code that
+played it. Lines of other settings and of other code stay in the file and are not used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+from collections.abc import Iterator, Set
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from experiments.studies.code_identity import code_version, present_identity
+from experiments.studies.trial_sequence import Trial
+from shared.errors import ConfigError
+
+# `summary` or `error`, `wall_seconds`; in the journal also `trial`, `code` and `label`.
+Record = dict[str, Any]
+
+
+class Journal:
+    """The lines of the file, which gets one more for each trial that is added."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        try:
+            self._lines: list[Record] = [json.loads(line) for line in file]
+            for line in self._lines:
+                _ = line["trial"], line["error"]
+                line["code"] = present_identity(line["code"])
+        except (ValueError, LookupError, TypeError) as error:
+            raise ConfigError(f"out: {file.name} has a line that is no trial: {error}") from None
+
+    def usable(self, *, keep_code: bool) -> dict[str, Record]:
+        """Trials that have finished without an error, by identity.
+
+        Of this code, or with `keep_code` of any where this one has not played a trial.
+        """
+        mine = [line for line in self._lines if line["code"] == code_version()]
+        lines = [*self._lines, *mine] if keep_code else mine
+        return {line["trial"]: line for line in lines if line["error"] is None}
+
+    def left_out(self, wanted: Set[str], *, keep_code: bool) -> str | None:
+        """A sentence on the lines of no use, having the identities of a study's trials."""
+        of_study = [line for line in self._lines if line["trial"] in wanted]
+        used = [line for line in of_study if keep_code or line["code"] == code_version()]
+        if len(used) == len(self._lines):
+            return None
+        return (
+            f"trials of {self._file.name} left out: {len(self._lines) - len(of_study)} of other "
+            f"settings or seeds, {len(of_study) - len(used)} of other code (--keep-code takes "
+            "these)"
+        )
+
+    def add(self, trial: Trial, record: Record) -> None:
+        """One more line, on its way to the disk when this returns."""
+        line = {"trial": trial.identity, "code": code_version(), "label": trial.label, **record}
+        self._file.write(json.dumps(line).encode() + b"\n")
+        self._file.flush()
+
+
+@contextlib.contextmanager
+def open_journal(path: Path) -> Iterator[Journal]:
+    """The file of finished trials, for one sweep alone, without a half-written last line."""
+    with path.open("a+b") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(
+                f"out: another sweep writes to {path.parent}; wait for it or give another --out"
+            ) from None
+        file.seek(0)
+        file.truncate(file.read().rfind(b"\n") + 1)
+        file.seek(0)
+        yield Journal(file)

@@ -1,0 +1,220 @@
+"""Plays a study: many lockstep trials on all cores, kept as they finish, in one table at the end.
+
+The same command goes on after an interruption, and plays again what ended with an error. What a
+bisection plays next depends on what it has played, and on nothing else: not on when, or by whom.
+`trials.parquet` has the columns that the study asks for, `study.toml` what was asked for and
+`about.json` how it was played; `trials.jsonl` is the journal of finished trials.
+"""
+
+from __future__ import annotations
+
+# isort: off
+import shared.process.native_libraries  # noqa: F401
+
+# isort: on
+import argparse
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from experiments.studies.about import about_now, commit_in_words, other_codes, other_codes_in_words
+from experiments.studies.bisection import limits, limits_in_words
+from experiments.studies.journal import Record, open_journal
+from experiments.studies.progress import Progress
+from experiments.studies.study import Study
+from experiments.studies.study_file import read_study
+from experiments.studies.trial_sequence import Course, Outcome, Trial, outcome_of
+from experiments.studies.trial_table import row_of, table_in_words, write_trials
+from experiments.studies.workers import EXAMPLE, Players, players
+from shared.errors import ConfigError
+from shared.process.cli import EXIT_STANDING
+
+
+def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `sweep`."""
+    parser.add_argument("study", metavar="STUDY", help="a shipped study or a TOML file")
+    parser.add_argument("--quick", action="store_true", help="the study as its [quick] changes it")
+    parser.add_argument("--seeds", type=int, metavar="N", help="instead of the study's")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+    parser.add_argument(
+        "--scheduler",
+        metavar=EXAMPLE,
+        help="play on the Dask cluster of this scheduler instead",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default runs/sweep-STUDY")
+    parser.add_argument(
+        "--only",
+        action="append",
+        metavar="NAME",
+        help="play this cell or controller=la; repeatable",
+    )
+    parser.add_argument("--table", type=Path, metavar="FILE", help="write the table there as well")
+    parser.add_argument("--keep-code", action="store_true", help="take trials of other code too")
+
+
+def run_sweep(arguments: argparse.Namespace) -> int:
+    """Play a study and print its table."""
+    study = read_study(arguments.study, seeds=arguments.seeds, quick=arguments.quick)
+    if arguments.scheduler is not None and arguments.workers is not None:
+        raise ConfigError("--workers: the cluster of --scheduler has its own; expected one of them")
+    name = f"{study.name}-quick" if arguments.quick else study.name
+    out = arguments.out or Path("runs") / f"sweep-{name}"
+    rows = sweep(
+        study,
+        out=out,
+        workers=workers_from(arguments.workers),
+        scheduler=arguments.scheduler,
+        only=arguments.only or (),
+        keep_code=arguments.keep_code,
+    )
+    if study.bisection is None:
+        table = table_in_words(rows, list(study.cells[0].shown))
+    else:
+        table = limits_in_words(study, limits(study, rows), rows)
+    print(table)
+    if arguments.table is not None:
+        options = [*["--quick"] * arguments.quick, f"--seeds {study.seeds}"]
+        _write_table(arguments.table, table, f"{study.name} {' '.join(options)}", out)
+    return EXIT_STANDING
+
+
+def workers_from(asked: int | None) -> int:
+    """How many processes `--workers` asks for; all cores if it is not given."""
+    if asked is None:
+        return len(os.sched_getaffinity(0))
+    if asked < 1:
+        raise ConfigError(f"--workers: expected at least 1, got {asked}")
+    return asked
+
+
+def sweep(
+    study: Study,
+    *,
+    out: Path,
+    workers: int = 1,
+    scheduler: str | None = None,
+    only: Sequence[str] = (),
+    keep_code: bool = False,
+) -> list[dict[str, Any]]:
+    """Rows of the finished trials, by cell and seed, having played those missing in `out`.
+
+    On `workers` processes or, given its address, on the Dask cluster of a scheduler. `only` names
+    the cells to play, all if empty.
+    """
+    chosen = study.only(only)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        study_text = tomli_w.dumps(study.table)
+        with open_journal(out / "trials.jsonl") as journal:
+            (out / "study.toml").write_text(study_text, encoding="utf-8")
+            records = journal.usable(keep_code=keep_code)
+            courses = _followed(study, records)
+            of_study = _identities(_followed(study, journal.usable(keep_code=True)))
+            if said := journal.left_out(of_study, keep_code=keep_code):
+                print(said, file=sys.stderr)
+            missing = [
+                course
+                for course in courses
+                if course.next is not None and (not only or course.cell in chosen)
+            ]
+            kept = [records[trial.identity] for course in courses for trial in course.played]
+            falls = sum(record["summary"]["fell"] for record in kept)
+            progress = Progress(done=len(kept), falls=falls, left=study.most_left(missing))
+            if missing:
+                with contextlib.closing(progress), players(workers, scheduler) as team:
+                    workers = team.number
+                    for trial, record in _playing(missing, records, team):
+                        journal.add(trial, record)
+                        row_of(trial, record, study.columns)  # an unknown column ends it here
+                        fell = record["error"] is None and record["summary"]["fell"]
+                        progress.finished(fell=fell, left=study.most_left(missing))
+            played_by = {"workers": workers, "scheduler": scheduler}
+            about = about_now(study) | progress.about() | played_by
+        played = [
+            (trial, records[trial.identity])
+            for course in sorted(courses, key=lambda course: course.cell)
+            for trial in course.played
+        ]
+        rows = [row_of(trial, record, study.columns) for trial, record in played]
+        write_trials(rows, out)
+        about["trial_seconds"] = sum(record["wall_seconds"] for _, record in played)
+        about["other_code"] = other_codes(record for _, record in played)
+        # An earlier sweep may have been killed between its last trial and this file.
+        if missing or not (out / "about.json").is_file():
+            (out / "about.json").write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        where = error.filename or out
+        raise ConfigError(f"out: cannot write {where}: {error.strerror}") from None
+    except KeyboardInterrupt:
+        print(f"interrupted; the same command goes on with {out}", file=sys.stderr)
+        raise
+    return rows
+
+
+def _followed(study: Study, records: Mapping[str, Record]) -> list[Course]:
+    """Every course of a study as far as its trials have been played."""
+    courses = study.courses()
+    for course in courses:
+        course.follow(_outcome_in(records))
+    return courses
+
+
+def _outcome_in(records: Mapping[str, Record]) -> Callable[[Trial], Outcome | None]:
+    def outcome(trial: Trial) -> Outcome | None:
+        record = records.get(trial.identity)
+        return None if record is None else outcome_of(record["error"], record["summary"])
+
+    return outcome
+
+
+def _identities(courses: Sequence[Course]) -> set[str]:
+    """Those of the trials played, and of those to be played next."""
+    known = {trial.identity for course in courses for trial in course.played}
+    return known | {course.next.identity for course in courses if course.next is not None}
+
+
+def _playing(
+    courses: Sequence[Course], records: dict[str, Record], team: Players
+) -> Iterator[tuple[Trial, Record]]:
+    """Take courses to their ends: their trials and records, added to `records`, as they finish."""
+    going = {(course.cell, course.seed): course for course in courses}
+    for course in courses:
+        assert course.next is not None
+        team.submit(course.next)
+    while going:
+        trial, record = team.finished()
+        records[trial.identity] = record
+        course = going[trial.cell, trial.config.seed]
+        course.follow(_outcome_in(records))
+        if course.next is None:
+            del going[course.cell, course.seed]
+        else:
+            team.submit(course.next)
+        yield trial, record
+
+
+def _write_table(path: Path, table: str, asked: str, out: Path) -> None:
+    """The table with how and where it was made; `asked` is the study and its options."""
+    try:
+        about = json.loads((out / "about.json").read_text(encoding="utf-8"))
+        made = about["versions"]
+        commit = ", ".join(filter(None, [commit_in_words(about), other_codes_in_words(about)]))
+        packages = ", ".join(f"{name} {made[name]}" for name in ("python", "mujoco", "pin", "daqp"))
+        lines = [
+            about["description"],
+            f"python -m experiments sweep {asked}",
+            f"{about['machine']['cpu']}; {packages}; commit {commit}, "
+            f"{about['date'][:10]}; means over the trials that finished standing",
+            "",
+            table,
+        ]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"table: cannot write {path}: {error.strerror}") from None

@@ -1,0 +1,118 @@
+"""A `RunConfig` from a TOML file and overrides, and back.
+
+An unknown key or a value of the wrong type is a `ConfigError` that names what is valid.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tomli_w
+
+from shared.config.settings import RobotConfig, RunConfig
+from shared.config.toml_file import read_toml
+from shared.errors import ConfigError
+from shared.robots import description_of
+
+
+def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None) -> RunConfig:
+    """A `RunConfig` from a TOML file (None: defaults), with dotted-key overrides on top.
+
+    Keys under `[versions]`, which a run writes into its own copy, are ignored.
+    """
+    table: dict[str, Any] = {}
+    if path is not None:
+        table = read_toml(Path(path), what="config")
+        table.pop("versions", None)
+    for key, value in (overrides or {}).items():
+        _set_dotted(table, key, value)
+    config = _build(RunConfig, _merged(_defaults(table), table), where="")
+    if config.task == "walk" and "duration" not in table:
+        config = dataclasses.replace(config, duration=config.walk.duration)
+    return config
+
+
+def _defaults(table: dict[str, Any]) -> dict[str, Any]:
+    """What the task and then the robot that `table` names change of the defaults."""
+    task, robot = table.get("task", RunConfig.task), table.get("robot", {})
+    name = robot.get("name", RobotConfig.name) if isinstance(robot, dict) else None
+    if not (isinstance(task, str) and isinstance(name, str)):
+        return {}  # `_build` says what is wrong with it
+    return _merged(_PRESETS.get(task, {}), description_of(name).settings.get(task, {}))
+
+
+# What a task changes of the defaults; its robot, a file and flags come on top.
+_PRESETS: dict[str, dict[str, Any]] = {
+    "walk": {
+        "push": [],
+        "sensors": {"joint_position_noise": 1e-3},
+        "wbc": {
+            "gains": {
+                "com": 20.0,
+                "base_orientation": 60.0,
+                "contact_damping": 30.0,
+            },
+            "weights": {"base_orientation": 1.0},
+        },
+        "wire": {"projector_dtype": "float32"},
+    }
+}
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(below)
+    for key, value in above.items():
+        under = merged.get(key)
+        both = isinstance(value, dict) and isinstance(under, dict)
+        merged[key] = _merged(below[key], value) if both else value
+    return merged
+
+
+def dump_config(config: RunConfig, *, versions: dict[str, str]) -> str:
+    """The configuration as TOML that `load_config` reads back to an equal value."""
+    return tomli_w.dumps({**dataclasses.asdict(config), "versions": versions})
+
+
+def _set_dotted(table: dict[str, Any], key: str, value: Any) -> None:
+    *sections, name = key.split(".")
+    for section in sections:
+        table = table.setdefault(section, {})
+        if not isinstance(table, dict):
+            raise ConfigError(f"{section}: expected a table of settings, got {table!r}")
+    table[name] = value
+
+
+_T = TypeVar("_T")
+
+
+def _build(cls: type[_T], table: Any, *, where: str) -> _T:
+    if not isinstance(table, dict):
+        raise ConfigError(f"{where}: expected a table of settings, got {table!r}")
+    hints = typing.get_type_hints(cls)
+    names = [f.name for f in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    values = {}
+    for key, value in table.items():
+        dotted = f"{where}.{key}" if where else key
+        if key not in names:
+            raise ConfigError(f"{dotted}: unknown setting; valid here: {', '.join(names)}")
+        values[key] = _convert(hints[key], value, where=dotted)
+    return cls(**values)
+
+
+def _convert(hint: Any, value: Any, *, where: str) -> Any:
+    if dataclasses.is_dataclass(hint):
+        return _build(typing.cast(type, hint), value, where=where)
+    if isinstance(hint, types.GenericAlias):  # tuple[str, ...]
+        if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
+            raise ConfigError(f"{where}: expected a list of strings, got {value!r}")
+        return tuple(value)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
+        raise ConfigError(f"{where}: expected {hint.__name__}, got {value!r}")
+    return value

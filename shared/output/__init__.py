@@ -1,0 +1,1 @@
+"""What a person reads: reports, tables, figures, lines on a terminal."""

@@ -1,0 +1,147 @@
+"""What every process of the stack shares: flags, name, stop signal, telemetry hub, its files.
+
+A service prints `READY …` once it can be used; whoever supervises it waits for that line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+from shared.bus.security import DEFAULT_FOLDER, Credentials, robot_role
+from shared.bus.zenoh_bus import ZenohBus
+from shared.errors import ConfigError
+from shared.telemetry.parquet import write_parquet
+from shared.telemetry.row_log import RowLog
+from shared.telemetry.schema import Schema
+
+EDGE_ENDPOINT = "tcp/127.0.0.1:7460"
+NETEM_ENDPOINT = "tcp/127.0.0.1:7461"
+# An hour at 1 kHz: a service that runs for days should not fill the disk.
+_MAX_ROWS = 3_600_000
+
+
+class StopSignal:
+    """Turns SIGINT and SIGTERM into a flag that loops look at."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._request)
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        self.requested = True
+
+
+def add_service_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where a service reports to and leaves its files, and how it is known on the link."""
+    parser.add_argument("--out", metavar="DIR", type=Path, help="folder for this process's files")
+    parser.add_argument(
+        "--telemetry", metavar="ENDPOINT", help="hub to publish measurements to, never the link"
+    )
+    add_identity_arguments(parser)
+
+
+def add_identity_arguments(parser: argparse._ActionsContainer) -> None:
+    """A robot's name and the certificates; of a parser or a group."""
+    parser.add_argument(
+        "--name", help="of the robot on the link, so that there may be several of a kind"
+    )
+    add_secure_argument(parser)
+
+
+def add_secure_argument(parser: argparse._ActionsContainer) -> None:
+    """The folder of certificates; of a parser or a group."""
+    parser.add_argument(
+        "--secure",
+        metavar="DIR",
+        nargs="?",
+        type=Path,
+        const=Path(DEFAULT_FOLDER),
+        help="mutual TLS and access control, with the certificates that deploy/keys made "
+        "(default %(const)s)",
+    )
+
+
+@dataclass(frozen=True)
+class Identity:
+    """The robot's name on the link, and this process's credentials (None: nothing is secured)."""
+
+    robot: str
+    credentials: Credentials | None
+
+
+def identity_from(arguments: argparse.Namespace, *, role: str | None, kind: str) -> Identity:
+    """Who a service is. `role` None: the robot itself; `kind` of robot: its name unless given."""
+    robot: str = arguments.name or kind
+    robots_role = robot_role(robot)
+    if arguments.secure is None:
+        return Identity(robot, None)
+    return Identity(robot, Credentials.load(arguments.secure, role or robots_role, robots=(robot,)))
+
+
+class ServiceLog:
+    """Rows of one service: on file while it runs, then Parquet and a JSON report in its folder.
+
+    Without a folder the rows live in a temporary file, long enough to make the report.
+    """
+
+    def __init__(
+        self, name: str, schema: Schema, *, out: Path | None, telemetry: str | None, key: str
+    ) -> None:
+        self.name = name
+        self._out = out
+        self._temporary = tempfile.TemporaryDirectory(prefix="remote-wbc-")
+        self._hub = ZenohBus(connect=[telemetry], mode="client") if telemetry else None
+        publish: Callable[[bytes], None] | None = None
+        if self._hub is not None:
+            publish = self._hub.publisher(key).publish
+        if out is not None:
+            try:
+                out.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise ConfigError(f"out: cannot create {out}: {error.strerror}") from None
+        self._folder = out if out is not None else Path(self._temporary.name)
+        # Those who watch see the rows that the file has no room for.
+        path = self._folder / f"{name}.rows"
+        self.rows = RowLog(schema, path=path, publish=publish, at_most=_MAX_ROWS)
+
+    def row(self) -> np.ndarray:
+        """The next row to fill."""
+        return self.rows.row()
+
+    def finish(self, report: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """End the log, turn its rows into Parquet, write and return `report(rows)`.
+
+        `ConfigError` if the disk took less than that.
+        """
+        self.rows.close()
+        rows = self.rows.rows()
+        result = report(rows)
+        failure = self.rows.failure
+        if self._out is not None:
+            try:
+                write_parquet(self.rows.schema, rows, self._out / f"{self.name}.parquet")
+                text = json.dumps(result, indent=2)
+                (self._out / f"{self.name}.json").write_text(text + "\n", encoding="utf-8")
+                (self._out / f"{self.name}.rows").unlink()
+            except OSError as error:
+                failure = error
+        if self._hub is not None:
+            self._hub.close()
+        self._temporary.cleanup()
+        if failure is not None:
+            raise ConfigError(
+                f"out: cannot write all of {self.name}'s files into {self._folder}: "
+                f"{failure.strerror or failure}; expected a disk with room for them"
+            )
+        return result

@@ -1,0 +1,115 @@
+"""Numbers that say how well a run went, from its telemetry rows.
+
+The CoM error and the contact violation are the paper's (Sec. IV-C) and come from the robot tick by
+tick; what needs more than one row is here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+
+import numpy as np
+
+from shared.telemetry.row_log import row_chunks
+from shared.telemetry.schema import SOLVE_SCHEMA, Schema
+
+_HASHED_COLUMNS = ("time_ns", "source", "q", "v", "tau")
+
+
+def log_hash(schema: Schema, rows: np.ndarray) -> str:
+    """SHA-256 over what the robot did: time, source, state and torque of every tick of the task."""
+    digest = hashlib.sha256()
+    for chunk in row_chunks(rows):
+        for name in _HASHED_COLUMNS:
+            digest.update(chunk[:, schema.slices[name]].tobytes())
+    return digest.hexdigest()
+
+
+def mean(values: np.ndarray) -> float | None:
+    """Mean of the finite values; None where there are none."""
+    finite = values[np.isfinite(values)]
+    return float(f"{finite.mean():.6g}") if finite.size else None
+
+
+def quantiles(values: np.ndarray, *, digits: int = 4) -> dict[str, float | None]:
+    """p50, p99 and max of the finite values; None where there are none."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return {"p50": None, "p99": None, "max": None}
+    p50, p99 = np.percentile(finite, [50, 99])
+    return {
+        "p50": round(float(p50), digits),
+        "p99": round(float(p99), digits),
+        "max": round(float(finite.max()), digits),
+    }
+
+
+def stance_slips(schema: Schema, rows: np.ndarray) -> np.ndarray:
+    """How far a loaded foot slid from where it was set down [m], the most of each stance."""
+    slips = schema.column(rows, "foot_slip_m")
+    most = []
+    for foot in slips.T:
+        loaded = np.isfinite(foot)
+        edges = np.flatnonzero(np.diff(loaded.astype(int))) + 1
+        for stance in np.split(foot, edges):
+            if len(stance) and np.isfinite(stance[0]):
+                most.append(stance.max())
+    return np.array(most)
+
+
+def switch_to_fresh_ms(schema: Schema, rows: np.ndarray) -> np.ndarray:
+    """Per contact switch, time until a command came from a state measured in the new mode [ms].
+
+    Until then it came from a prepared projector, or from none. NaN where the mode ended before.
+    """
+    mode, tick = schema.column(rows, "mode"), schema.column(rows, "tick")
+    sequence, time_ns = schema.column(rows, "projector_sequence"), schema.column(rows, "time_ns")
+    switches = np.flatnonzero(np.diff(mode)) + 1
+    waits = []
+    for begin, end in itertools.pairwise([*switches, len(rows)]):
+        new = np.flatnonzero(sequence[begin:end] >= tick[begin])
+        waits.append((time_ns[begin + new[0]] - time_ns[begin]) * 1e-6 if new.size else np.nan)
+    return np.array(waits)
+
+
+def true_active_sets(schema: Schema, rows: np.ndarray, solve_rows: np.ndarray) -> np.ndarray:
+    """Optimal active set of each tick's own state, as the edge found it; −1 where it did not."""
+    found = np.full(len(rows), -1, dtype=np.int64)
+    if len(solve_rows) and len(rows):
+        states = SOLVE_SCHEMA.column(solve_rows, "state_sequence").astype(np.int64)
+        order = np.argsort(states, kind="stable")
+        ticks = schema.column(rows, "tick").astype(np.int64)
+        at = order[np.searchsorted(states, ticks, sorter=order).clip(max=len(states) - 1)]
+        hit = states[at] == ticks
+        sets = SOLVE_SCHEMA.column(solve_rows, "active_set").astype(np.int64)
+        found[hit] = sets[at[hit]]
+    return found
+
+
+def active_set_discrepancy(schema: Schema, rows: np.ndarray, true_sets: np.ndarray) -> np.ndarray:
+    """Cardinality of the difference between the active set used and the true one, per tick.
+
+    |(𝒜 ∪ 𝒜̂) \\ (𝒜 ∩ 𝒜̂)| of Table VI; NaN where either is unknown. After a contact switch, rows of a
+    foot that is not loaded any more count as well.
+    """
+    used = schema.column(rows, "active_set").astype(np.int64)
+    known = (used >= 0) & (true_sets >= 0)
+    return np.where(known, np.bitwise_count(used ^ true_sets), np.nan)
+
+
+def by_cardinality(cardinality: np.ndarray, values: np.ndarray) -> list[float | None]:
+    """Mean of the finite values at the ticks of each cardinality from 0 on; None where none is."""
+    return [mean(values[cardinality == k]) for k in range(len(ticks_by_cardinality(cardinality)))]
+
+
+def ticks_by_cardinality(cardinality: np.ndarray) -> list[int]:
+    """How many ticks have each cardinality from 0 to the largest; NaN counts for none."""
+    known = cardinality[np.isfinite(cardinality)].astype(np.int64)
+    return [int(count) for count in np.bincount(known)]
+
+
+def in_task(schema: Schema, rows: np.ndarray) -> np.ndarray:
+    """The rows from the first one of the task on; those before only waited for the edge."""
+    begun = schema.column(rows, "time_ns") >= 0
+    return rows[int(np.argmax(begun)) :] if begun.any() else rows[:0]

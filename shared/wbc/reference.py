@@ -1,0 +1,73 @@
+"""What the tasks track: a reference at one instant, and the motion that gives it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from shared.wbc.contacts import ContactMode
+
+
+@dataclass(frozen=True)
+class SwingState:
+    """Sole frame of the swing foot: position, velocity, acceleration (3,) in the world; heading
+    [rad] and its first and second derivative."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    yaw: float
+    yaw_rate: float
+    yaw_acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What the tasks track at one instant.
+
+    `com`, `com_velocity`, `com_acceleration` (3,) in the world; `world_from_base` (3, 3);
+    `posture` (nv − 6,) joint positions [rad]; `mode` the planned contact mode.
+    """
+
+    com: np.ndarray
+    com_velocity: np.ndarray
+    com_acceleration: np.ndarray
+    world_from_base: np.ndarray
+    posture: np.ndarray
+    mode: ContactMode
+    swing: SwingState | None = None
+
+
+class Motion(Protocol):
+    """A reference for every task time, and the contact switches ahead.
+
+    `digest`: eight bytes that tell this motion from others, compared by the two ends of a link.
+    """
+
+    digest: bytes
+
+    def reference(self, time_ns: int) -> Reference:
+        """Reference at `time_ns` since the task began."""
+        ...
+
+    def next_switch(self, time_ns: int) -> int | None:
+        """When the contact mode changes next after `time_ns`; None for never."""
+        ...
+
+    def stopped(self, time_ns: int) -> Motion:
+        """The same motion until `time_ns`, from then on to a stand as soon as it can be."""
+        ...
+
+
+def coming_switches(motion: Motion, time_ns: int) -> list[int]:
+    """Times of the next two contact switches after `time_ns`, fewer if there are no more.
+
+    Two, because a double support can be shorter than what it takes to prepare for its end.
+    """
+    times: list[int] = []
+    while len(times) < 2 and (switch_ns := motion.next_switch(time_ns)) is not None:
+        times.append(switch_ns)
+        time_ns = switch_ns
+    return times
