@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from netem.profile import DIRECTIONS, LOST, Profile
-from shared.config.quantities import Outage, parse_outage
+from shared.config.quantities import Outage
 from shared.config.settings import LinkConfig
 
 Item = TypeVar("Item")
@@ -43,7 +43,7 @@ def make_lines(
             offset_ns=profile.start_offset_ns(seed),
             loss=config.loss,
             keep_order=config.keep_order,
-            outages=[parse_outage(text) for text in config.outage],
+            outages=config.outages,
             count_as=count_as[direction],
             queue_bytes=config.queue_bytes,
             rng=np.random.default_rng([seed, 2, direction]),

@@ -21,7 +21,6 @@ from robot_node.safety import JointHold, RungChange, TorqueGuard, has_fallen
 from robot_node.sensors import Sensors
 from robot_node.tick_row import Moment, TickRow
 from shared.bus.base import new_session
-from shared.config.quantities import parse_push
 from shared.config.settings import RunConfig
 from shared.robots import Foot, Robot
 from shared.telemetry.schema import Schema, Source, tick_schema
@@ -56,7 +55,6 @@ class RobotNode:
         self.tick = 0
         self._config = config
         self._motion = motion
-        self._pushes = [parse_push(push) for push in config.push]
         self._plant = self._make_plant(robot)
         self._sensors = Sensors(config.sensors, seed=config.seed)
         self._model = WholeBodyModel(robot)
@@ -219,7 +217,7 @@ class RobotNode:
 
     def _push(self) -> np.ndarray:
         force = np.zeros(3)
-        for push in self._pushes:
+        for push in self._config.pushes:
             if push.active(self.time_ns):
                 force += push.force
         return force

@@ -10,9 +10,10 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from shared.config.controllers import CONTROLLERS
-from shared.config.quantities import parse_outage, parse_push
+from shared.config.quantities import Outage, Push, parse_outage, parse_push
 from shared.errors import ConfigError
 
 TASKS = ("balance", "walk")
@@ -130,6 +131,11 @@ class LinkConfig:
     uplink_bytes: int = 0
     downlink_bytes: int = 0
     queue_bytes: int = 20 * 2**20
+
+    @cached_property
+    def outages(self) -> tuple[Outage, ...]:
+        """What `outage` says."""
+        return tuple(parse_outage(text) for text in self.outage)
 
 
 @dataclass(frozen=True)
@@ -343,10 +349,13 @@ class RunConfig:
                 "plant.kind: expected mujoco for a walk, because the feet of a rigid plant are "
                 "welded to the floor, got 'rigid'"
             )
-        for push in self.push:
-            parse_push(push)
-        for outage in self.link.outage:
-            parse_outage(outage)
+        # Read here, where one in another form can still be refused.
+        _ = self.pushes, self.link.outages
+
+    @cached_property
+    def pushes(self) -> tuple[Push, ...]:
+        """What `push` says."""
+        return tuple(parse_push(text) for text in self.push)
 
     @property
     def digest(self) -> bytes:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 
 import pytest
@@ -22,6 +23,8 @@ from shared.errors import ConfigError
 from shared.robots import CATALOGUE
 
 MS = 1_000_000
+# Digests and identities of published trials are of these: they are not to change by themselves.
+DEFAULT, WALK = {}, {"task": "walk"}
 
 
 def refusal(**overrides):
@@ -302,6 +305,36 @@ def test_both_ends_must_agree_on_robot_and_controller_settings_only():
         assert load_config(None, {key: value}).digest == digest
     for key, value in (("wbc.friction", 0.4), ("robot.torque_clamp", 1.0), ("wbc.gains.com", 1.0)):
         assert load_config(None, {key: value}).digest != digest
+
+
+@pytest.mark.parametrize(
+    ("overrides", "digest"), [(DEFAULT, "8b443f376ca909ca"), (WALK, "3a1eb7c0ecd54199")]
+)
+def test_the_digest_of_the_defaults_is_that_of_earlier_versions(overrides, digest):
+    assert load_config(None, overrides).digest.hex() == digest
+
+
+@pytest.mark.parametrize(
+    ("overrides", "text", "file"),
+    [
+        (DEFAULT, "7eb091e13f3715b2", "5028e636c1a730ac"),
+        (WALK, "70dfbd38e6c7fd81", "3eedeb42e48c417f"),
+    ],
+)
+def test_the_defaults_are_written_as_by_earlier_versions(overrides, text, file):
+    config = load_config(None, overrides)
+    for written, expected in ((repr(config), text), (dump_config(config, versions={}), file)):
+        assert hashlib.sha256(written.encode()).hexdigest()[:16] == expected
+
+
+def test_pushes_and_outages_are_read_once_and_are_no_part_of_the_settings():
+    config = load_config(None, {"push": ["1N@1s:1s:+x"], "link.outage": ["cut@4s"]})
+    assert config.pushes == (parse_push("1N@1s:1s:+x"),)
+    assert config.link.outages == (parse_outage("cut@4s"),)
+    assert config.pushes is config.pushes
+    unread = LinkConfig(outage=("cut@4s",))
+    assert (unread, repr(unread)) == (config.link, repr(config.link))
+    assert dataclasses.replace(config, push=()).pushes == ()
 
 
 @pytest.mark.parametrize(
