@@ -1,136 +1,155 @@
 """Every setting of the project as frozen dataclasses; `config_file` reads them from TOML.
 
-What depends on the robot has Romeo's value here; another robot's is in its catalogue entry.
-A value out of range is a `ConfigError` that says what was expected. Both ends of a link must agree
-on `task`, `robot`, `wbc` and `walk`; their digest travels in every message.
+A setting is told in one place, its field: see `setting`. What depends on the robot has Romeo's
+value here; another robot's is in its catalogue entry. A value out of range is a
+`ConfigError` that says what was expected. Both ends of a link must agree on `task`, `robot`, `wbc`
+and `walk`; their digest travels in every message.
 """
 
 from __future__ import annotations
 
 import hashlib
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import attrgetter
 
 from shared.config.controllers import CONTROLLERS
-from shared.config.quantities import Outage, Push, parse_outage, parse_push
+from shared.config.quantities import Outage, Push, parse_angle, parse_outage, parse_push
+from shared.config.setting import sections_of, setting
 from shared.errors import ConfigError
 
 TASKS = ("balance", "walk")
 CORRECTION_LEVELS = ("b", "b_adjoint", "c")
-COM_PLANS = ("dcm", "mpc")
-PLANTS = ("mujoco", "rigid")
-VIEWS = ("auto", "native", "web", "off")
+
+_PUSH = "100N@1.0s:0.2s:+y"
 
 
-# Infinite means never.
-_MAY_BE_INFINITE = (
-    "loop.hold_after",
-    "correction.refresh_distance",
-    "correction.stop_above",
-    "correction.give_up_above",
-)
+def _robots() -> Sequence[str]:
+    # Imported here: a look at a stack that runs should not wait for numpy.
+    from shared.robots import CATALOGUE
+
+    return tuple(CATALOGUE)
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Feedback gains: kp [1/s²], kd = 2 √kp; the contact rows have damping only [1/s]."""
+    """Feedback gains kp [1/s²], with kd = 2 √kp; the contact rows have damping only."""
 
-    com: float = 10.0
-    base_orientation: float = 20.0
-    posture: float = 30.0
-    contact_damping: float = 20.0
-    swing_foot: float = 300.0
+    com: float = setting(10.0, "of the CoM", unit="1/s²", at_least=0.0)
+    base_orientation: float = setting(20.0, "of the base", unit="1/s²", at_least=0.0)
+    posture: float = setting(30.0, "of the joints", unit="1/s²", at_least=0.0)
+    contact_damping: float = setting(20.0, "of the soles on the floor", unit="1/s", at_least=0.0)
+    swing_foot: float = setting(300.0, "of the foot in the air", unit="1/s²", at_least=0.0)
 
 
 @dataclass(frozen=True)
 class Weights:
     """Task weights ω of Eq. (2a)."""
 
-    com: float = 1.0
-    base_orientation: float = 0.1
-    posture: float = 1e-2
-    force: float = 1e-5
-    swing_foot: float = 10.0
+    com: float = setting(1.0, "of the CoM", at_least=1e-9)
+    base_orientation: float = setting(0.1, "of the base", at_least=1e-9)
+    posture: float = setting(1e-2, "of the joints", at_least=1e-9)
+    force: float = setting(1e-5, "of the contact forces", at_least=1e-9)
+    swing_foot: float = setting(10.0, "of the foot in the air", at_least=1e-9)
 
 
 @dataclass(frozen=True)
 class WbcConfig:
-    """The whole-body QP. `friction` is the controller's μ; `min_normal_force` per point [N]."""
+    """The whole-body QP."""
 
     gains: Gains = field(default_factory=Gains)
     weights: Weights = field(default_factory=Weights)
-    friction: float = 0.5
-    min_normal_force: float = 1.0
-    solver: str = "daqp"
+    friction: float = setting(0.5, "the controller's μ", at_least=1e-3)
+    min_normal_force: float = setting(1.0, "per contact point", unit="N", at_least=0.0)
+    solver: str = setting("daqp", "what solves it", choices=("daqp", "proxsuite"))
 
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """The robot. `torque_clamp` is the multiple of the URDF's effort that actuators may give."""
+    """The robot, by its entry in the catalogue."""
 
-    name: str = "romeo"
-    torque_clamp: float = 1.45
+    name: str = setting("romeo", "which robot", choices=_robots, flag="--robot")
+    torque_clamp: float = setting(
+        1.45, "what its actuators may give, × the URDF's effort limits", at_least=0.01
+    )
 
 
 @dataclass(frozen=True)
 class PlantConfig:
     """The simulated plant: `mujoco`, or `rigid` with both soles welded to the floor, to balance.
 
-    MuJoCo's contacts have a `friction`, and give way by a time constant [s] and a damping ratio.
+    The other settings are of MuJoCo's contacts.
     """
 
-    kind: str = "mujoco"
-    friction: float = 0.8
-    contact_time_constant: float = 0.005
-    contact_damping_ratio: float = 1.0
+    kind: str = setting("mujoco", "what simulates the robot", choices=("mujoco", "rigid"))
+    friction: float = setting(0.8, "between sole and floor", at_least=1e-3)
+    contact_time_constant: float = setting(0.005, "by which they give way, `solref`", unit="s")
+    contact_damping_ratio: float = setting(1.0, "of giving way")
 
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """Standard deviation of Gaussian noise on joint positions [rad] and velocities [rad/s]."""
+    """Gaussian noise on what the robot measures."""
 
-    joint_position_noise: float = 1e-2
-    joint_velocity_noise: float = 0.0
+    joint_position_noise: float = setting(
+        1e-2, "standard deviation of joint positions", unit="rad", at_least=0.0, flag="--noise"
+    )
+    joint_velocity_noise: float = setting(
+        0.0, "standard deviation of joint velocities", unit="rad/s", at_least=0.0
+    )
 
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """The 1 kHz tick. `fresh_within_ns` is d* of Eq. (7).
+    """The 1 kHz tick.
 
-    `hold_after` is the projector age [s] beyond which the robot holds its joints instead of using
-    the cache: more than the outages of the factory and building profiles, less than LA lasts.
-    `edge_compute_ns` is the edge's compute time under lockstep, where it is not measured.
-    `connect_timeout` [s] is how long the robot waits for its first projector.
+    On a projector older than `hold_after` the robot holds its joints instead of using the cache:
+    more than the outages of the factory and building profiles, less than LA lasts.
     """
 
-    period_ns: int = 1_000_000
-    fresh_within_ns: int = 500_000
-    hold_after: float = 0.5
-    edge_compute_ns: int = 300_000
-    connect_timeout: float = 20.0
+    period_ns: int = setting(1_000_000, "of a tick; no other is supported")
+    fresh_within_ns: int = setting(500_000, "d* of Eq. (7), within the period")
+    hold_after: float = setting(
+        0.5, "projector age that holds the joints", unit="s", at_least=0.0, may_be_infinite=True
+    )
+    edge_compute_ns: int = setting(
+        300_000, "what the edge takes under lockstep, where it is not measured", at_least=0
+    )
+    connect_timeout: float = setting(
+        20.0, "how long the robot waits for its first projector", unit="s", at_least=0.0
+    )
 
 
 @dataclass(frozen=True)
 class LinkConfig:
-    """The emulated link. `network` is a profile name, a file, `constant:30ms` or `direct`.
+    """The emulated link.
 
     After `capacity:` a profile's capacity is replayed instead of its delays: each direction queues
     at most `queue_bytes`, and what finds no room is lost. A message counts as `uplink_bytes` or
-    `downlink_bytes`, whatever its own size, where these are not zero.
-
-    `loss` is an independent loss probability per message, each way. `keep_order` holds a message
-    back until those sent before it have left, as a radio link layer does. In an `outage`, of the
-    link's own time, nothing passes: what is sent then waits for its end.
+    `downlink_bytes`, whatever its own size, where these are not zero. In an `outage`, of the link's
+    own time, nothing passes: what is sent then waits for its end.
     """
 
-    network: str = "factory/001"
-    loss: float = 0.0
-    keep_order: bool = True
-    outage: tuple[str, ...] = ()
-    uplink_bytes: int = 0
-    downlink_bytes: int = 0
-    queue_bytes: int = 20 * 2**20
+    network: str = setting(
+        "factory/001",
+        "a shipped profile (factory/003), a .npz or .csv file, constant:ROUND_TRIP "
+        "(constant:30ms), constant:UP/DOWN, generated:factory/SEED; capacity: before any of them "
+        "replays the link behind it; or direct",
+        flag="--network",
+    )
+    loss: float = setting(
+        0.0, "probability of losing a message, each way", at_least=0.0, below=1.0, flag="--loss"
+    )
+    keep_order: bool = setting(
+        True, "a message waits for those sent before it, as in a radio's link layer"
+    )
+    outage: tuple[str, ...] = setting(
+        (), "nothing passes for so long; cut@4s: for ever", flag="--outage", metavar="389ms@1.2s"
+    )
+    uplink_bytes: int = setting(0, "what a state counts as, 0: as it is", at_least=0)
+    downlink_bytes: int = setting(0, "what an answer counts as, 0: as it is", at_least=0)
+    queue_bytes: int = setting(20 * 2**20, "what finds room in a queue", at_least=1)
 
     @cached_property
     def outages(self) -> tuple[Outage, ...]:
@@ -140,32 +159,51 @@ class LinkConfig:
 
 @dataclass(frozen=True)
 class WireConfig:
-    """`projector_dtype` is `float64` or `float32`."""
+    """What crosses the link."""
 
-    projector_dtype: str = "float64"
+    projector_dtype: str = setting(
+        "float64", "numbers of a projector", choices=("float32", "float64")
+    )
 
 
 @dataclass(frozen=True)
 class WalkConfig:
-    """A walk: steps of (length, sideways) [m] and turn [rad] each, negative for the other way.
+    """A walk: equal steps, of which the last brings the feet together.
 
-    `step_width` [m] is the distance of the soles side by side, 0 for that of standing. A step takes
-    `step_duration` [s], of which `double_support` on both feet; the paper has 5 ms. The walk begins
-    and ends on both feet for `begin_duration` and `end_duration` [s]. `com_plan` is how the CoM
-    trajectory is made: `dcm` in closed form, `mpc` by model predictive control.
+    A step takes `step_duration`, of which `double_support` on both feet; the paper has 5 ms. The
+    CoM trajectory of `dcm` has a closed form, that of `mpc` is by model predictive control.
     """
 
-    steps: int = 6
-    step_length: float = 0.1
-    step_sideways: float = 0.0
-    step_turn: float = 0.0
-    step_width: float = 0.0
-    step_duration: float = 0.8
-    double_support: float = 0.02
-    swing_height: float = 0.05
-    begin_duration: float = 1.0
-    end_duration: float = 2.0
-    com_plan: str = "dcm"
+    steps: int = setting(6, "how many", at_least=1, flag="--steps")
+    step_length: float = setting(
+        0.1, "per step, negative: backward", unit="m", flag="--step-length"
+    )
+    step_sideways: float = setting(
+        0.0, "per step, positive: to the left", unit="m", flag="--step-sideways"
+    )
+    step_turn: float = setting(
+        0.0,
+        "per step, positive: to the left; as a flag 15deg or 0.26rad",
+        unit="rad",
+        flag="--step-turn",
+        metavar="15deg",
+        read=parse_angle,
+    )
+    step_width: float = setting(
+        0.0, "between the soles, 0: as standing", unit="m", at_least=0.0, flag="--step-width"
+    )
+    step_duration: float = setting(0.8, "of a step", unit="s", at_least=0.2, flag="--step-duration")
+    double_support: float = setting(
+        0.02, "of a step, on both feet", unit="s", at_least=1e-3, flag="--double-support"
+    )
+    swing_height: float = setting(
+        0.05, "of the foot in the air", unit="m", at_least=0.0, flag="--swing-height"
+    )
+    begin_duration: float = setting(
+        1.0, "on both feet before the first step", unit="s", at_least=0.5
+    )
+    end_duration: float = setting(2.0, "on both feet after the last step", unit="s", at_least=0.5)
+    com_plan: str = setting("dcm", "how the CoM moves", choices=("dcm", "mpc"), flag="--com-plan")
 
     @property
     def duration(self) -> float:
@@ -175,7 +213,7 @@ class WalkConfig:
 
 @dataclass(frozen=True)
 class SwitchConfig:
-    """Contact switches, Sec. III-C; each part can be turned off.
+    """Contact switches of a walk, Sec. III-C; each part can be turned off.
 
     `prepare_on_edge`, `prepare_on_board`: the solution of the next contact mode is computed from a
     state `prepare_ns` before the switch, by the edge for the states it gets and once on the robot.
@@ -186,14 +224,14 @@ class SwitchConfig:
     longer than `prepare_ns` begins earlier, to be ready in time.
     """
 
-    prepare_on_edge: bool = True
-    prepare_on_board: bool = True
-    solve_on_board: bool = True
-    prepare_ns: int = 10_000_000
-    window_ns: int = 100_000_000
-    period_ns: int = 5_000_000
-    compute_ns: int = 780_000
-    compute_time_scale: float = 3.08
+    prepare_on_edge: bool = setting(True, "the next mode by the edge")
+    prepare_on_board: bool = setting(True, "the next mode by the robot")
+    solve_on_board: bool = setting(True, "full QPs by the robot")
+    prepare_ns: int = setting(10_000_000, "how long before the switch", at_least=0)
+    window_ns: int = setting(100_000_000, "of full QPs, centred on the switch", at_least=0)
+    period_ns: int = setting(5_000_000, "between two of them", at_least=1_000_000)
+    compute_ns: int = setting(780_000, "what one takes a fast core; live, at least", at_least=0)
+    compute_time_scale: float = setting(3.08, "the on-board computer is slower by", at_least=0.0)
 
     def ready_after_ns(self, solve_ns: int) -> int:
         """How long the on-board computer takes for what takes a fast core `solve_ns`.
@@ -208,17 +246,13 @@ class CorrectionConfig:
     """The locally corrected controller.
 
     `level` is what is exact in a correction: `b` the constraints, `b_adjoint` their gradient too,
-    `c` everything. `iterations` per tick, none for a stale optimum with a fresh active set;
-    `iterations_at_switch` in the first tick of a contact mode. `damping` is added to the Hessian
-    that the edge factorises, for level c far from its state.
+    `c` everything, which needs `damping` far from its state.
 
     The edge factorises the present contact mode and the next one again when the joints are
-    `refresh_distance` [rad] from where they were, root of the mean square, at most once per
-    `refresh_interval_ns`; measured positions are averaged over `average_ns`, 0 for not at all. It
-    sends again after `retry_ns`, then ever later, what the robot does not say it holds, or a sign
-    of life. `posture_error` moves every joint that far, in a direction that the seed draws, before
-    it factorises [rad]: how wrong may a factorisation be?
-    `relaxation` is the part of a correction that is applied.
+    `refresh_distance` from where they were, root of the mean square. It sends again after
+    `retry_ns`, then ever later, what the robot does not say it holds, or a sign of life.
+    `posture_error` moves every joint that far, in a direction that the seed draws, before it
+    factorises: how wrong may a factorisation be?
 
     The contraction estimate decides on which rung the robot stands. Above `refresh_above` the
     on-board computer factorises, if `on_board_budget`, the part of its time for that, is not zero;
@@ -226,32 +260,56 @@ class CorrectionConfig:
     without a correction.
     """
 
-    level: str = "b"
-    iterations: int = 1
-    iterations_at_switch: int = 3
-    damping: float = 0.0
-    refresh_distance: float = 0.15
-    refresh_interval_ns: int = 20_000_000
-    average_ns: int = 10_000_000
-    retry_ns: int = 100_000_000
-    posture_error: float = 0.0
-    relaxation: float = 1.0
-    on_board_budget: float = 0.0
-    refresh_above: float = 0.5
-    stop_above: float = 0.8
-    give_up_above: float = 1.0
+    level: str = setting("b", "what is exact", choices=CORRECTION_LEVELS)
+    iterations: int = setting(
+        1, "per tick, 0: the stale optimum with a fresh active set", at_least=0
+    )
+    iterations_at_switch: int = setting(3, "in the first tick of a contact mode", at_least=0)
+    damping: float = setting(0.0, "added to the Hessian that the edge factorises", at_least=0.0)
+    refresh_distance: float = setting(
+        0.15, "when the edge factorises again", unit="rad", at_least=0.0, may_be_infinite=True
+    )
+    refresh_interval_ns: int = setting(20_000_000, "at most that often", at_least=0)
+    average_ns: int = setting(
+        10_000_000, "measured joint positions are averaged over, 0: not at all", at_least=0
+    )
+    retry_ns: int = setting(
+        100_000_000, "sends again what the robot may not hold", at_least=1_000_000
+    )
+    posture_error: float = setting(0.0, "of the factorised posture", unit="rad", at_least=0.0)
+    relaxation: float = setting(1.0, "part of a correction that is applied", at_least=0.0)
+    on_board_budget: float = setting(
+        0.0, "part of the on-board computer's time for factorising", at_least=0.0, at_most=1.0
+    )
+    refresh_above: float = setting(
+        0.5, "contraction estimate from which the on-board computer factorises", at_least=0.0
+    )
+    stop_above: float = setting(0.8, "… from which a walk ends", at_least=0.0, may_be_infinite=True)
+    give_up_above: float = setting(
+        1.0, "… from which nothing is corrected", at_least=0.0, may_be_infinite=True
+    )
 
 
 @dataclass(frozen=True)
 class RunConfig:
     """One run, complete: the same file and seed give the same run."""
 
-    task: str = "balance"
-    controller: str = "la"
-    duration: float = 5.0
-    seed: int = 0
-    push: tuple[str, ...] = ("100N@1.0s:0.2s:+y",)
-    view: str = "auto"
+    task: str = setting("balance", "what the robot does", choices=TASKS, flag="--task")
+    controller: str = setting(
+        "la", "how it finds its torques", choices=tuple(CONTROLLERS), flag="--controller"
+    )
+    duration: float = setting(
+        5.0, "how long, in simulated time", unit="s", at_least=1e-3, below=1e6, flag="--duration"
+    )
+    seed: int = setting(
+        0, "of noise, loss and the profile's starting point", at_least=0, flag="--seed"
+    )
+    push: tuple[str, ...] = setting(
+        (_PUSH,), "force on the base, start, duration, direction", flag="--push", metavar=_PUSH
+    )
+    view: str = setting(
+        "auto", "where it is watched", choices=("auto", "native", "web", "off"), flag="--view"
+    )
     robot: RobotConfig = field(default_factory=RobotConfig)
     wbc: WbcConfig = field(default_factory=WbcConfig)
     walk: WalkConfig = field(default_factory=WalkConfig)
@@ -264,74 +322,8 @@ class RunConfig:
     wire: WireConfig = field(default_factory=WireConfig)
 
     def __post_init__(self) -> None:
-        _one_of("task", self.task, TASKS)
-        _one_of("controller", self.controller, tuple(CONTROLLERS))
-        _one_of("view", self.view, VIEWS)
-        _one_of("walk.com_plan", self.walk.com_plan, COM_PLANS)
-        _one_of("plant.kind", self.plant.kind, PLANTS)
-        _one_of("correction.level", self.correction.level, CORRECTION_LEVELS)
-        _one_of("wire.projector_dtype", self.wire.projector_dtype, ("float32", "float64"))
-        gains, weights = self.wbc.gains, self.wbc.weights
-        for name, value, low in (
-            ("duration", self.duration, 1e-3),
-            *((f"wbc.gains.{key}", gain, 0.0) for key, gain in vars(gains).items()),
-            *((f"wbc.weights.{key}", weight, 1e-9) for key, weight in vars(weights).items()),
-            ("seed", self.seed, 0),
-            ("robot.torque_clamp", self.robot.torque_clamp, 0.01),
-            ("sensors.joint_position_noise", self.sensors.joint_position_noise, 0.0),
-            ("sensors.joint_velocity_noise", self.sensors.joint_velocity_noise, 0.0),
-            ("wbc.friction", self.wbc.friction, 1e-3),
-            ("wbc.min_normal_force", self.wbc.min_normal_force, 0.0),
-            ("walk.step_width", self.walk.step_width, 0.0),
-            ("walk.double_support", self.walk.double_support, 1e-3),
-            ("walk.step_duration", self.walk.step_duration, 0.2),
-            ("walk.swing_height", self.walk.swing_height, 0.0),
-            ("walk.begin_duration", self.walk.begin_duration, 0.5),
-            ("walk.end_duration", self.walk.end_duration, 0.5),
-            ("switch.prepare_ns", self.switch.prepare_ns, 0),
-            ("switch.window_ns", self.switch.window_ns, 0),
-            ("switch.period_ns", self.switch.period_ns, 1_000_000),
-            ("switch.compute_ns", self.switch.compute_ns, 0),
-            ("switch.compute_time_scale", self.switch.compute_time_scale, 0.0),
-            ("correction.iterations", self.correction.iterations, 0),
-            ("correction.iterations_at_switch", self.correction.iterations_at_switch, 0),
-            ("correction.damping", self.correction.damping, 0.0),
-            ("correction.refresh_distance", self.correction.refresh_distance, 0.0),
-            ("correction.posture_error", self.correction.posture_error, 0.0),
-            *(
-                (f"correction.{name}", getattr(self.correction, name), 0.0)
-                for name in (
-                    "relaxation",
-                    "on_board_budget",
-                    "refresh_above",
-                    "stop_above",
-                    "give_up_above",
-                )
-            ),
-            ("correction.refresh_interval_ns", self.correction.refresh_interval_ns, 0),
-            ("correction.average_ns", self.correction.average_ns, 0),
-            ("correction.retry_ns", self.correction.retry_ns, 1_000_000),
-            ("plant.friction", self.plant.friction, 1e-3),
-            ("loop.connect_timeout", self.loop.connect_timeout, 0.0),
-            ("loop.hold_after", self.loop.hold_after, 0.0),
-            ("loop.edge_compute_ns", self.loop.edge_compute_ns, 0),
-            ("link.loss", self.link.loss, 0.0),
-            ("link.uplink_bytes", self.link.uplink_bytes, 0),
-            ("link.downlink_bytes", self.link.downlink_bytes, 0),
-            ("link.queue_bytes", self.link.queue_bytes, 1),
-        ):
-            finite = math.isfinite(value) or name in _MAY_BE_INFINITE
-            if not (value >= low and finite):
-                raise ConfigError(f"{name}: expected a number ≥ {low:g}, got {value!r}")
-        if not self.link.loss < 1.0:
-            raise ConfigError(f"link.loss: expected a probability below 1, got {self.link.loss}")
-        if not self.correction.on_board_budget <= 1.0:
-            raise ConfigError(
-                "correction.on_board_budget: expected a part of the on-board computer's time, at "
-                f"most 1, got {self.correction.on_board_budget}"
-            )
-        if not self.duration < 1e6:
-            raise ConfigError(f"duration: expected less than 1e6 s, got {self.duration}")
+        for key, each in SETTINGS.items():
+            each.check(key, attrgetter(key)(self))
         if self.loop.period_ns != 1_000_000:
             raise ConfigError("loop.period_ns: only 1000000 (1 kHz) is supported")
         if not 0 < self.loop.fresh_within_ns < self.loop.period_ns:
@@ -364,6 +356,5 @@ class RunConfig:
         return hashlib.sha256(agreed.encode()).digest()[:8]
 
 
-def _one_of(name: str, value: str, valid: tuple[str, ...]) -> None:
-    if value not in valid:
-        raise ConfigError(f"{name}: expected one of {', '.join(valid)}, got {value!r}")
+SECTIONS = tuple(sections_of(RunConfig))
+SETTINGS = {key: each for section in SECTIONS for key, each in section.settings.items()}

@@ -50,8 +50,6 @@ def standing_footprints(robot: Robot) -> dict[Foot, Footprint]:
 
 def plan_footsteps(robot: Robot, config: WalkConfig) -> tuple[Step, ...]:
     """The steps of a walk. `ConfigError` with the reason if it cannot be walked."""
-    if config.steps < 1:
-        raise ConfigError(f"walk.steps: expected at least 1, got {config.steps}")
     feet = standing_footprints(robot)
     left, right = feet[Foot.LEFT], feet[Foot.RIGHT]
     width = config.step_width or left.y - right.y

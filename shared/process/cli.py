@@ -11,14 +11,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from shared.config.controllers import CONTROLLERS
-from shared.config.quantities import parse_angle, parse_duration_ns
-from shared.config.settings import COM_PLANS, TASKS, VIEWS, RunConfig
+from shared.config.quantities import parse_duration_ns
+from shared.config.setting import Setting
+from shared.config.settings import SETTINGS, RunConfig
 from shared.errors import ConfigError, UserError
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, end_at_interrupt
 
 EXIT_STANDING = 0
 EXIT_FELL = 3
+_FLAGGED = {key: each for key, each in SETTINGS.items() if each.flag}
+_VIEW = "view"
 _OUTPUT_ERRORS = (errno.ENOSPC, errno.EIO, errno.EBADF)
 
 
@@ -55,46 +57,12 @@ def run_command(prog: str, description: str | None, commands: Sequence[Command])
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """The options that describe a run; each overrides the configuration file."""
-    # Imported here: a look at a stack that runs should not wait for numpy.
-    from shared.robots import CATALOGUE
-
     group = parser.add_argument_group("the run (flags override --config)")
     group.add_argument("--config", metavar="FILE.toml", help="settings; see docs/configuration.md")
-    group.add_argument("--task", help=f"one of {', '.join(TASKS)}")
-    group.add_argument("--robot", help=f"one of {', '.join(CATALOGUE)}")
-    group.add_argument("--controller", help=f"one of {', '.join(CONTROLLERS)}")
-    group.add_argument(
-        "--network",
-        help="a shipped profile (factory/003), a .npz or .csv file, constant:ROUND_TRIP "
-        "(constant:30ms), constant:UP/DOWN, generated:factory/SEED; capacity: before any of them "
-        "replays the link behind it; or direct",
-    )
-    group.add_argument("--duration", type=float, help="seconds of simulated time")
-    group.add_argument("--seed", type=int, help="of noise, loss and the profile's starting point")
-    group.add_argument(
-        "--push",
-        action="append",
-        metavar="100N@1.0s:0.2s:+y",
-        help="force on the base, start, duration, direction; repeatable; none for no push",
-    )
-    group.add_argument("--noise", type=float, help="standard deviation of joint positions [rad]")
-    group.add_argument("--loss", type=float, help="probability of losing a message, each way")
-    group.add_argument(
-        "--outage",
-        action="append",
-        metavar="389ms@1.2s",
-        help="nothing passes the link for so long from then on; cut@4s: for ever; repeatable",
-    )
     walk = parser.add_argument_group("the walk (with --task walk)")
-    walk.add_argument("--steps", type=int, help="how many; the last brings the feet together")
-    walk.add_argument("--step-length", type=float, help="[m], negative: backward")
-    walk.add_argument("--step-sideways", type=float, help="[m] per step, positive: to the left")
-    walk.add_argument("--step-turn", help="per step, 15deg or 0.26rad, positive: to the left")
-    walk.add_argument("--step-width", type=float, help="[m] between the soles; 0: as standing")
-    walk.add_argument("--step-duration", type=float, help="[s]")
-    walk.add_argument("--double-support", type=float, help="[s] of a step on both feet")
-    walk.add_argument("--swing-height", type=float, help="[m]")
-    walk.add_argument("--com-plan", help=f"one of {', '.join(COM_PLANS)}")
+    for key, each in _FLAGGED.items():
+        if key != _VIEW:
+            _add_flag(walk if key.startswith("walk.") else group, each)
     walk.add_argument(
         "--on-board-delay",
         metavar="25ms",
@@ -104,55 +72,44 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_view_argument(parser: argparse.ArgumentParser) -> None:
     """The choice of a live view."""
-    parser.add_argument("--view", help=f"one of {', '.join(VIEWS)} (default auto)")
+    _add_flag(parser, SETTINGS[_VIEW])
 
 
-_KEYS = {
-    "task": "task",
-    "robot": "robot.name",
-    "controller": "controller",
-    "duration": "duration",
-    "seed": "seed",
-    "view": "view",
-    "network": "link.network",
-    "loss": "link.loss",
-    "noise": "sensors.joint_position_noise",
-    "outage": "link.outage",
-}
-_WALK_KEYS = {
-    name: f"walk.{name}"
-    for name in (
-        "steps",
-        "step_length",
-        "step_sideways",
-        "step_turn",
-        "step_width",
-        "step_duration",
-        "double_support",
-        "swing_height",
-        "com_plan",
-    )
-}
+def _add_flag(group: argparse._ActionsContainer, setting: Setting) -> None:
+    told = setting.told + (f" [{setting.unit}]" if setting.unit else "")
+    if setting.words:
+        told += f"; one of {', '.join(setting.words)}"
+    options: dict[str, Any] = {"help": told.replace("%", "%%")}
+    if setting.kind is bool:
+        options |= {"action": argparse.BooleanOptionalAction}
+    elif setting.kind is tuple:
+        options["help"] += "; repeatable; or none"
+        options |= {"action": "append", "metavar": setting.metavar}
+    else:
+        options |= {"type": setting.read or setting.kind, "metavar": setting.metavar}
+    group.add_argument(setting.flag, **options)
+
+
+def _given(arguments: argparse.Namespace, key: str, setting: Setting) -> Any:
+    """The value of a setting on the command line; None where its flag is not given."""
+    value = getattr(arguments, setting.flag.removeprefix("--").replace("-", "_"), None)
+    if setting.kind is not tuple or value is None or "none" not in value:
+        return value
+    if len(value) > 1:
+        raise ConfigError(f"{key}: expected none by itself, got {' and '.join(value)}")
+    return []
 
 
 def config_from(arguments: argparse.Namespace) -> RunConfig:
     """The run that the arguments describe."""
     from shared.config.config_file import load_config
 
-    overrides: dict[str, Any] = {}
-    for name, key in (_KEYS | _WALK_KEYS).items():
-        value = getattr(arguments, name, None)
-        if value is not None:
-            overrides[key] = parse_angle(value) if name == "step_turn" else value
+    given = {key: _given(arguments, key, each) for key, each in _FLAGGED.items()}
+    overrides = {key: value for key, value in given.items() if value is not None}
     delay = getattr(arguments, "on_board_delay", None)
     if delay is not None:
         overrides["switch.compute_ns"] = parse_duration_ns(delay)
         overrides["switch.compute_time_scale"] = 1.0
-    pushes = getattr(arguments, "push", None)
-    if pushes is not None:
-        if "none" in pushes and len(pushes) > 1:
-            raise ConfigError(f"push: expected either none or pushes, got {' and '.join(pushes)}")
-        overrides["push"] = [] if pushes == ["none"] else pushes
     config = load_config(arguments.config, overrides)
     walking = [key for key in overrides if key.startswith(("walk.", "switch."))]
     if walking and config.task != "walk":

@@ -206,6 +206,7 @@ def test_a_whole_number_may_stand_for_a_float():
         ("view", "cinema"),
         ("wire.projector_dtype", "float16"),
         ("correction.level", "a"),
+        ("wbc.solver", "simplex"),
         ("plant.kind", "soft"),
     ],
 )
@@ -223,6 +224,8 @@ def test_a_word_that_is_not_one_of_the_valid_ones_is_refused_with_those(key, val
         ("duration", math.nan),
         ("duration", math.inf),
         ("seed", -1),
+        ("walk.steps", 0),
+        ("walk.step_length", math.nan),
         ("robot.torque_clamp", 0.0),
         ("robot.torque_clamp", math.nan),
         ("sensors.joint_position_noise", -1e-3),

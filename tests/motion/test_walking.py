@@ -145,7 +145,6 @@ def test_switches_are_announced_at_their_times(walking):
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"steps": 0}, "at least 1"),
         ({"step_length": 0.6}, "legs reach"),
         ({"step_width": 0.08}, "cross or touch"),
         ({"step_turn": 1.0}, "turns the foot"),

@@ -97,6 +97,13 @@ def test_no_push_is_asked_for_by_name(config_of):
     assert config_of("--push", "none").push == ()
 
 
+def test_no_outage_is_asked_for_by_name(config_of, tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text('[link]\noutage = ["cut@4s"]\n')
+    assert config_of("--config", str(path)).link.outage == ("cut@4s",)
+    assert config_of("--config", str(path), "--outage", "none").link.outage == ()
+
+
 def test_no_push_and_a_push_contradict_each_other(config_of):
     with pytest.raises(ConfigError, match="none"):
         config_of("--push", "none", "--push", "1N@1s:1s:+x")
@@ -151,6 +158,11 @@ def test_an_interrupt_exits_as_shells_expect(capsys):
         run(main)
     assert exit_.value.code == 130
     assert capsys.readouterr().err == ""
+
+
+def test_the_command_line_is_there_before_numpy():
+    script = "import sys, shared.process.cli; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run(python("-c", script), check=False).returncode == 0
 
 
 def test_a_reader_that_left_is_no_traceback():

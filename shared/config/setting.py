@@ -1,0 +1,103 @@
+"""A setting as a field of a dataclass: its default, what it means, its bounds and its flag.
+
+All that is known of a setting stands there. Made of it are its check, here, its flag in
+`shared/process/cli.py`, its key in `config_file`, and its line of `docs/configuration.md` in
+`experiments/settings_page.py`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from shared.errors import ConfigError
+
+_METADATA = "setting"
+_HOLDS = {"≥": operator.ge, "≤": operator.le, "<": operator.lt}
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is known of a setting.
+
+    A number is within its bounds, and finite unless it `may_be_infinite`. A word is one of
+    `choices`; a function gives them where it takes long to know them. `flag` is its option on the
+    command line, `metavar` an example of a value there, and `read` makes the value from its text.
+    """
+
+    default: Any
+    told: str
+    unit: str = ""
+    at_least: float | None = None
+    at_most: float | None = None
+    below: float | None = None
+    may_be_infinite: bool = False
+    choices: Sequence[str] | Callable[[], Sequence[str]] = ()
+    flag: str = ""
+    metavar: str | None = None
+    read: Callable[[str], Any] | None = None
+
+    @property
+    def kind(self) -> type:
+        """The type of its values."""
+        return type(self.default)
+
+    @property
+    def words(self) -> Sequence[str]:
+        """The words it may be; none where any value of its type may."""
+        return self.choices() if callable(self.choices) else self.choices
+
+    @property
+    def bounds(self) -> list[tuple[str, float]]:
+        """Its bounds, each after its sign."""
+        bounds = (("≥", self.at_least), ("≤", self.at_most), ("<", self.below))
+        return [(sign, bound) for sign, bound in bounds if bound is not None]
+
+    def check(self, key: str, value: Any) -> None:
+        """Refuse a value that `key` cannot have, by a `ConfigError` with those that it can."""
+        if self.words and value not in self.words:
+            raise ConfigError(f"{key}: expected one of {', '.join(self.words)}, got {value!r}")
+        if self.kind in (int, float) and not self._holds(value):
+            within = " and ".join(f"{sign} {bound:g}" for sign, bound in self.bounds)
+            raise ConfigError(
+                f"{key}: expected a number {within or 'that is finite'}, got {value!r}"
+            )
+
+    def _holds(self, number: float) -> bool:
+        finite = math.isfinite(number) or (self.may_be_infinite and not math.isnan(number))
+        return finite and all(_HOLDS[sign](number, bound) for sign, bound in self.bounds)
+
+
+def setting(default: _T, told: str, **known: Any) -> _T:
+    """A field of a dataclass that is a setting; `known` are further fields of `Setting`."""
+    return dataclasses.field(default=default, metadata={_METADATA: Setting(default, told, **known)})
+
+
+@dataclass(frozen=True)
+class Section:
+    """A dataclass of settings under its dotted name, empty for the whole; its own by dotted key."""
+
+    name: str
+    cls: type
+    settings: Mapping[str, Setting]
+
+
+def sections_of(cls: type, *, name: str = "") -> Iterator[Section]:
+    """A dataclass of settings and, in order, all that it has as fields."""
+    own: dict[str, Setting] = {}
+    within: dict[str, type] = {}
+    for each in dataclasses.fields(cls):
+        key = f"{name}.{each.name}" if name else each.name
+        if isinstance(each.default_factory, type):
+            within[key] = each.default_factory
+        else:
+            own[key] = each.metadata[_METADATA]
+    yield Section(name, cls, own)
+    for key, part in within.items():
+        yield from sections_of(part, name=key)
