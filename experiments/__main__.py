@@ -10,6 +10,7 @@ from experiments.atlas import add_atlas_arguments, run_atlas
 from experiments.figure import add_figure_arguments, run_figure
 from experiments.reproduction.report import add_report_arguments, run_report
 from experiments.reproduction.run import add_run_arguments, run_reproduction
+from experiments.settings_page import add_settings_arguments, run_settings
 from experiments.studies.check import add_check_arguments, run_check
 from experiments.studies.corrections import add_corrections_arguments, run_corrections
 from experiments.studies.sweep import add_sweep_arguments, run_sweep
@@ -30,6 +31,7 @@ _COMMANDS = (
         add_corrections_arguments,
         run_corrections,
     ),
+    Command("settings", "the tables of all settings", add_settings_arguments, run_settings),
 )
 
 
