@@ -57,4 +57,4 @@ def _line(key: str, setting: Setting) -> tuple[str, ...]:
     words = [f"`{word}`" for word in setting.words]
     bounds = [f"{sign} {bound:g}" for sign, bound in setting.bounds]
     infinite = ["`inf`"] if setting.may_be_infinite else []
-    return name, default, ", ".join([*words, *bounds, *infinite]), setting.told
+    return name, default, ", ".join([*words, *bounds, *infinite]), setting.help

@@ -1,6 +1,7 @@
 """Which code a trial ran through, as a hash: of what the sources do, not of what they say.
 
-Comments, docstrings and layout are free to change; a constant or a name is not. Trials from before
+Comments, docstrings, arguments named `help` and layout are free to change; a constant or a name is
+not. Trials from before
 2026-12 have hashes of the files' bytes in their `about.json` and journals. `published_codes.toml`
 maps those of the published ones; a test derives both hashes from the commit that it names.
 """
@@ -51,9 +52,9 @@ def _published() -> dict[str, str]:
 
 
 def _content(node: Any) -> Any:
-    """A syntax tree without docstrings, positions and empty fields, the same for every Python."""
+    """A syntax tree without prose, positions and empty fields, the same for every Python."""
     if isinstance(node, list):
-        return [_content(each) for each in node]
+        return [_content(each) for each in node if not _is_help(each)]
     if not isinstance(node, ast.AST):
         return node
     fields = []
@@ -67,6 +68,11 @@ def _content(node: Any) -> Any:
         if value not in (None, []):
             fields.append((name, _content(value)))
     return (type(node).__name__, *fields)
+
+
+def _is_help(node: Any) -> bool:
+    """Whether it is an argument of a call that is printed for a person."""
+    return isinstance(node, ast.keyword) and node.arg == "help"
 
 
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)

@@ -32,7 +32,7 @@ class Format:
     """
 
     name: str
-    told: str
+    help: str
     read: Read | None
     options: tuple[str, ...] = ()
     either_way: bool = False

@@ -32,7 +32,7 @@ class Setting:
     """
 
     default: Any
-    told: str
+    help: str
     unit: str = ""
     at_least: float | None = None
     at_most: float | None = None
@@ -74,9 +74,9 @@ class Setting:
         return finite and all(_HOLDS[sign](number, bound) for sign, bound in self.bounds)
 
 
-def setting(default: _T, told: str, **known: Any) -> _T:
+def setting(default: _T, *, help: str, **known: Any) -> _T:
     """A field of a dataclass that is a setting; `known` are further fields of `Setting`."""
-    return dataclasses.field(default=default, metadata={_METADATA: Setting(default, told, **known)})
+    return dataclasses.field(default=default, metadata={_METADATA: Setting(default, help, **known)})
 
 
 @dataclass(frozen=True)

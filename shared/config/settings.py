@@ -36,22 +36,24 @@ def _robots() -> Sequence[str]:
 class Gains:
     """Feedback gains kp [1/s²], with kd = 2 √kp; the contact rows have damping only."""
 
-    com: float = setting(10.0, "of the CoM", unit="1/s²", at_least=0.0)
-    base_orientation: float = setting(20.0, "of the base", unit="1/s²", at_least=0.0)
-    posture: float = setting(30.0, "of the joints", unit="1/s²", at_least=0.0)
-    contact_damping: float = setting(20.0, "of the soles on the floor", unit="1/s", at_least=0.0)
-    swing_foot: float = setting(300.0, "of the foot in the air", unit="1/s²", at_least=0.0)
+    com: float = setting(10.0, help="of the CoM", unit="1/s²", at_least=0.0)
+    base_orientation: float = setting(20.0, help="of the base", unit="1/s²", at_least=0.0)
+    posture: float = setting(30.0, help="of the joints", unit="1/s²", at_least=0.0)
+    contact_damping: float = setting(
+        20.0, help="of the soles on the floor", unit="1/s", at_least=0.0
+    )
+    swing_foot: float = setting(300.0, help="of the foot in the air", unit="1/s²", at_least=0.0)
 
 
 @dataclass(frozen=True)
 class Weights:
     """Task weights ω of Eq. (2a)."""
 
-    com: float = setting(1.0, "of the CoM", at_least=1e-9)
-    base_orientation: float = setting(0.1, "of the base", at_least=1e-9)
-    posture: float = setting(1e-2, "of the joints", at_least=1e-9)
-    force: float = setting(1e-5, "of the contact forces", at_least=1e-9)
-    swing_foot: float = setting(10.0, "of the foot in the air", at_least=1e-9)
+    com: float = setting(1.0, help="of the CoM", at_least=1e-9)
+    base_orientation: float = setting(0.1, help="of the base", at_least=1e-9)
+    posture: float = setting(1e-2, help="of the joints", at_least=1e-9)
+    force: float = setting(1e-5, help="of the contact forces", at_least=1e-9)
+    swing_foot: float = setting(10.0, help="of the foot in the air", at_least=1e-9)
 
 
 @dataclass(frozen=True)
@@ -60,18 +62,18 @@ class WbcConfig:
 
     gains: Gains = field(default_factory=Gains)
     weights: Weights = field(default_factory=Weights)
-    friction: float = setting(0.5, "the controller's μ", at_least=1e-3)
-    min_normal_force: float = setting(1.0, "per contact point", unit="N", at_least=0.0)
-    solver: str = setting("daqp", "what solves it", choices=("daqp", "proxsuite"))
+    friction: float = setting(0.5, help="the controller's μ", at_least=1e-3)
+    min_normal_force: float = setting(1.0, help="per contact point", unit="N", at_least=0.0)
+    solver: str = setting("daqp", help="what solves it", choices=("daqp", "proxsuite"))
 
 
 @dataclass(frozen=True)
 class RobotConfig:
     """The robot, by its entry in the catalogue."""
 
-    name: str = setting("romeo", "which robot", choices=_robots, flag="--robot")
+    name: str = setting("romeo", help="which robot", choices=_robots, flag="--robot")
     torque_clamp: float = setting(
-        1.45, "what its actuators may give, × the URDF's effort limits", at_least=0.01
+        1.45, help="what its actuators may give, × the URDF's effort limits", at_least=0.01
     )
 
 
@@ -82,10 +84,10 @@ class PlantConfig:
     The other settings are of MuJoCo's contacts.
     """
 
-    kind: str = setting("mujoco", "what simulates the robot", choices=("mujoco", "rigid"))
-    friction: float = setting(0.8, "between sole and floor", at_least=1e-3)
-    contact_time_constant: float = setting(0.005, "by which they give way, `solref`", unit="s")
-    contact_damping_ratio: float = setting(1.0, "of giving way")
+    kind: str = setting("mujoco", help="what simulates the robot", choices=("mujoco", "rigid"))
+    friction: float = setting(0.8, help="between sole and floor", at_least=1e-3)
+    contact_time_constant: float = setting(0.005, help="by which they give way, `solref`", unit="s")
+    contact_damping_ratio: float = setting(1.0, help="of giving way")
 
 
 @dataclass(frozen=True)
@@ -93,10 +95,10 @@ class SensorConfig:
     """Gaussian noise on what the robot measures."""
 
     joint_position_noise: float = setting(
-        1e-2, "standard deviation of joint positions", unit="rad", at_least=0.0, flag="--noise"
+        1e-2, help="standard deviation of joint positions", unit="rad", at_least=0.0, flag="--noise"
     )
     joint_velocity_noise: float = setting(
-        0.0, "standard deviation of joint velocities", unit="rad/s", at_least=0.0
+        0.0, help="standard deviation of joint velocities", unit="rad/s", at_least=0.0
     )
 
 
@@ -108,16 +110,20 @@ class LoopConfig:
     more than the outages of the factory and building profiles, less than LA lasts.
     """
 
-    period_ns: int = setting(1_000_000, "of a tick; no other is supported")
-    fresh_within_ns: int = setting(500_000, "d* of Eq. (7), within the period")
+    period_ns: int = setting(1_000_000, help="of a tick; no other is supported")
+    fresh_within_ns: int = setting(500_000, help="d* of Eq. (7), within the period")
     hold_after: float = setting(
-        0.5, "projector age that holds the joints", unit="s", at_least=0.0, may_be_infinite=True
+        0.5,
+        help="projector age that holds the joints",
+        unit="s",
+        at_least=0.0,
+        may_be_infinite=True,
     )
     edge_compute_ns: int = setting(
-        300_000, "what the edge takes under lockstep, where it is not measured", at_least=0
+        300_000, help="what the edge takes under lockstep, where it is not measured", at_least=0
     )
     connect_timeout: float = setting(
-        20.0, "how long the robot waits for its first projector", unit="s", at_least=0.0
+        20.0, help="how long the robot waits for its first projector", unit="s", at_least=0.0
     )
 
 
@@ -133,23 +139,30 @@ class LinkConfig:
 
     network: str = setting(
         "factory/001",
-        "a shipped profile (factory/003), a .npz or .csv file, constant:ROUND_TRIP "
+        help="a shipped profile (factory/003), a .npz or .csv file, constant:ROUND_TRIP "
         "(constant:30ms), constant:UP/DOWN, generated:factory/SEED; capacity: before any of them "
         "replays the link behind it; or direct",
         flag="--network",
     )
     loss: float = setting(
-        0.0, "probability of losing a message, each way", at_least=0.0, below=1.0, flag="--loss"
+        0.0,
+        help="probability of losing a message, each way",
+        at_least=0.0,
+        below=1.0,
+        flag="--loss",
     )
     keep_order: bool = setting(
-        True, "a message waits for those sent before it, as in a radio's link layer"
+        True, help="a message waits for those sent before it, as in a radio's link layer"
     )
     outage: tuple[str, ...] = setting(
-        (), "nothing passes for so long; cut@4s: for ever", flag="--outage", metavar="389ms@1.2s"
+        (),
+        help="nothing passes for so long; cut@4s: for ever",
+        flag="--outage",
+        metavar="389ms@1.2s",
     )
-    uplink_bytes: int = setting(0, "what a state counts as, 0: as it is", at_least=0)
-    downlink_bytes: int = setting(0, "what an answer counts as, 0: as it is", at_least=0)
-    queue_bytes: int = setting(20 * 2**20, "what finds room in a queue", at_least=1)
+    uplink_bytes: int = setting(0, help="what a state counts as, 0: as it is", at_least=0)
+    downlink_bytes: int = setting(0, help="what an answer counts as, 0: as it is", at_least=0)
+    queue_bytes: int = setting(20 * 2**20, help="what finds room in a queue", at_least=1)
 
     @cached_property
     def outages(self) -> tuple[Outage, ...]:
@@ -162,7 +175,7 @@ class WireConfig:
     """What crosses the link."""
 
     projector_dtype: str = setting(
-        "float64", "numbers of a projector", choices=("float32", "float64")
+        "float64", help="numbers of a projector", choices=("float32", "float64")
     )
 
 
@@ -174,36 +187,42 @@ class WalkConfig:
     CoM trajectory of `dcm` has a closed form, that of `mpc` is by model predictive control.
     """
 
-    steps: int = setting(6, "how many", at_least=1, flag="--steps")
+    steps: int = setting(6, help="how many", at_least=1, flag="--steps")
     step_length: float = setting(
-        0.1, "per step, negative: backward", unit="m", flag="--step-length"
+        0.1, help="per step, negative: backward", unit="m", flag="--step-length"
     )
     step_sideways: float = setting(
-        0.0, "per step, positive: to the left", unit="m", flag="--step-sideways"
+        0.0, help="per step, positive: to the left", unit="m", flag="--step-sideways"
     )
     step_turn: float = setting(
         0.0,
-        "per step, positive: to the left; as a flag 15deg or 0.26rad",
+        help="per step, positive: to the left; as a flag 15deg or 0.26rad",
         unit="rad",
         flag="--step-turn",
         metavar="15deg",
         read=parse_angle,
     )
     step_width: float = setting(
-        0.0, "between the soles, 0: as standing", unit="m", at_least=0.0, flag="--step-width"
+        0.0, help="between the soles, 0: as standing", unit="m", at_least=0.0, flag="--step-width"
     )
-    step_duration: float = setting(0.8, "of a step", unit="s", at_least=0.2, flag="--step-duration")
+    step_duration: float = setting(
+        0.8, help="of a step", unit="s", at_least=0.2, flag="--step-duration"
+    )
     double_support: float = setting(
-        0.02, "of a step, on both feet", unit="s", at_least=1e-3, flag="--double-support"
+        0.02, help="of a step, on both feet", unit="s", at_least=1e-3, flag="--double-support"
     )
     swing_height: float = setting(
-        0.05, "of the foot in the air", unit="m", at_least=0.0, flag="--swing-height"
+        0.05, help="of the foot in the air", unit="m", at_least=0.0, flag="--swing-height"
     )
     begin_duration: float = setting(
-        1.0, "on both feet before the first step", unit="s", at_least=0.5
+        1.0, help="on both feet before the first step", unit="s", at_least=0.5
     )
-    end_duration: float = setting(2.0, "on both feet after the last step", unit="s", at_least=0.5)
-    com_plan: str = setting("dcm", "how the CoM moves", choices=("dcm", "mpc"), flag="--com-plan")
+    end_duration: float = setting(
+        2.0, help="on both feet after the last step", unit="s", at_least=0.5
+    )
+    com_plan: str = setting(
+        "dcm", help="how the CoM moves", choices=("dcm", "mpc"), flag="--com-plan"
+    )
 
     @property
     def duration(self) -> float:
@@ -224,14 +243,18 @@ class SwitchConfig:
     longer than `prepare_ns` begins earlier, to be ready in time.
     """
 
-    prepare_on_edge: bool = setting(True, "the next mode by the edge")
-    prepare_on_board: bool = setting(True, "the next mode by the robot")
-    solve_on_board: bool = setting(True, "full QPs by the robot")
-    prepare_ns: int = setting(10_000_000, "how long before the switch", at_least=0)
-    window_ns: int = setting(100_000_000, "of full QPs, centred on the switch", at_least=0)
-    period_ns: int = setting(5_000_000, "between two of them", at_least=1_000_000)
-    compute_ns: int = setting(780_000, "what one takes a fast core; live, at least", at_least=0)
-    compute_time_scale: float = setting(3.08, "the on-board computer is slower by", at_least=0.0)
+    prepare_on_edge: bool = setting(True, help="the next mode by the edge")
+    prepare_on_board: bool = setting(True, help="the next mode by the robot")
+    solve_on_board: bool = setting(True, help="full QPs by the robot")
+    prepare_ns: int = setting(10_000_000, help="how long before the switch", at_least=0)
+    window_ns: int = setting(100_000_000, help="of full QPs, centred on the switch", at_least=0)
+    period_ns: int = setting(5_000_000, help="between two of them", at_least=1_000_000)
+    compute_ns: int = setting(
+        780_000, help="what one takes a fast core; live, at least", at_least=0
+    )
+    compute_time_scale: float = setting(
+        3.08, help="the on-board computer is slower by", at_least=0.0
+    )
 
     def ready_after_ns(self, solve_ns: int) -> int:
         """How long the on-board computer takes for what takes a fast core `solve_ns`.
@@ -260,33 +283,37 @@ class CorrectionConfig:
     without a correction.
     """
 
-    level: str = setting("b", "what is exact", choices=CORRECTION_LEVELS)
+    level: str = setting("b", help="what is exact", choices=CORRECTION_LEVELS)
     iterations: int = setting(
-        1, "per tick, 0: the stale optimum with a fresh active set", at_least=0
+        1, help="per tick, 0: the stale optimum with a fresh active set", at_least=0
     )
-    iterations_at_switch: int = setting(3, "in the first tick of a contact mode", at_least=0)
-    damping: float = setting(0.0, "added to the Hessian that the edge factorises", at_least=0.0)
+    iterations_at_switch: int = setting(3, help="in the first tick of a contact mode", at_least=0)
+    damping: float = setting(
+        0.0, help="added to the Hessian that the edge factorises", at_least=0.0
+    )
     refresh_distance: float = setting(
-        0.15, "when the edge factorises again", unit="rad", at_least=0.0, may_be_infinite=True
+        0.15, help="when the edge factorises again", unit="rad", at_least=0.0, may_be_infinite=True
     )
-    refresh_interval_ns: int = setting(20_000_000, "at most that often", at_least=0)
+    refresh_interval_ns: int = setting(20_000_000, help="at most that often", at_least=0)
     average_ns: int = setting(
-        10_000_000, "measured joint positions are averaged over, 0: not at all", at_least=0
+        10_000_000, help="measured joint positions are averaged over, 0: not at all", at_least=0
     )
     retry_ns: int = setting(
-        100_000_000, "sends again what the robot may not hold", at_least=1_000_000
+        100_000_000, help="sends again what the robot may not hold", at_least=1_000_000
     )
-    posture_error: float = setting(0.0, "of the factorised posture", unit="rad", at_least=0.0)
-    relaxation: float = setting(1.0, "part of a correction that is applied", at_least=0.0)
+    posture_error: float = setting(0.0, help="of the factorised posture", unit="rad", at_least=0.0)
+    relaxation: float = setting(1.0, help="part of a correction that is applied", at_least=0.0)
     on_board_budget: float = setting(
-        0.0, "part of the on-board computer's time for factorising", at_least=0.0, at_most=1.0
+        0.0, help="part of the on-board computer's time for factorising", at_least=0.0, at_most=1.0
     )
     refresh_above: float = setting(
-        0.5, "contraction estimate from which the on-board computer factorises", at_least=0.0
+        0.5, help="contraction estimate from which the on-board computer factorises", at_least=0.0
     )
-    stop_above: float = setting(0.8, "… from which a walk ends", at_least=0.0, may_be_infinite=True)
+    stop_above: float = setting(
+        0.8, help="… from which a walk ends", at_least=0.0, may_be_infinite=True
+    )
     give_up_above: float = setting(
-        1.0, "… from which nothing is corrected", at_least=0.0, may_be_infinite=True
+        1.0, help="… from which nothing is corrected", at_least=0.0, may_be_infinite=True
     )
 
 
@@ -294,21 +321,26 @@ class CorrectionConfig:
 class RunConfig:
     """One run, complete: the same file and seed give the same run."""
 
-    task: str = setting("balance", "what the robot does", choices=TASKS, flag="--task")
+    task: str = setting("balance", help="what the robot does", choices=TASKS, flag="--task")
     controller: str = setting(
-        "la", "how it finds its torques", choices=tuple(CONTROLLERS), flag="--controller"
+        "la", help="how it finds its torques", choices=tuple(CONTROLLERS), flag="--controller"
     )
     duration: float = setting(
-        5.0, "how long, in simulated time", unit="s", at_least=1e-3, below=1e6, flag="--duration"
+        5.0,
+        help="how long, in simulated time",
+        unit="s",
+        at_least=1e-3,
+        below=1e6,
+        flag="--duration",
     )
     seed: int = setting(
-        0, "of noise, loss and the profile's starting point", at_least=0, flag="--seed"
+        0, help="of noise, loss and the profile's starting point", at_least=0, flag="--seed"
     )
     push: tuple[str, ...] = setting(
-        (_PUSH,), "force on the base, start, duration, direction", flag="--push", metavar=_PUSH
+        (_PUSH,), help="force on the base, start, duration, direction", flag="--push", metavar=_PUSH
     )
     view: str = setting(
-        "auto", "where it is watched", choices=("auto", "native", "web", "off"), flag="--view"
+        "auto", help="where it is watched", choices=("auto", "native", "web", "off"), flag="--view"
     )
     robot: RobotConfig = field(default_factory=RobotConfig)
     wbc: WbcConfig = field(default_factory=WbcConfig)

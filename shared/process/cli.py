@@ -37,7 +37,7 @@ class Command:
     """A subcommand: its name, what it does in a line, its options, and what runs it."""
 
     name: str
-    told: str
+    help: str
     add_arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], int]
 
@@ -47,7 +47,7 @@ def run_command(prog: str, description: str | None, commands: Sequence[Command])
     parser = Parser(prog=prog, description=description)
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in commands:
-        subparser = subparsers.add_parser(command.name, help=command.told)
+        subparser = subparsers.add_parser(command.name, help=command.help)
         command.add_arguments(subparser)
         subparser.set_defaults(run_command=command.run)
     arguments = parser.parse_args()
@@ -76,10 +76,10 @@ def add_view_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_flag(group: argparse._ActionsContainer, setting: Setting) -> None:
-    told = setting.told + (f" [{setting.unit}]" if setting.unit else "")
+    text = setting.help + (f" [{setting.unit}]" if setting.unit else "")
     if setting.words:
-        told += f"; one of {', '.join(setting.words)}"
-    options: dict[str, Any] = {"help": told.replace("%", "%%")}
+        text += f"; one of {', '.join(setting.words)}"
+    options: dict[str, Any] = {"help": text.replace("%", "%%")}
     if setting.kind is bool:
         options |= {"action": argparse.BooleanOptionalAction}
     elif setting.kind is tuple:

@@ -18,21 +18,21 @@ from shared.process.cli import Parser, _add_flag, _given
 class Lamp:
     """A lamp."""
 
-    power: float = setting(5.0, "at 100 %", unit="W", at_least=0.0, below=20.0, flag="--power")
-    dark_after: float = setting(1.0, "as long it shines", at_least=0.0, may_be_infinite=True)
-    share: float = setting(0.5, "of the room", at_most=1.0)
-    offset: float = setting(0.0, "from the middle", unit="m")
-    colour: str = setting("red", "it has", choices=("red", "green"), flag="--colour")
-    kind: str = setting("arc", "of lamp", choices=lambda: ("arc", "led"))
-    lit: bool = setting(True, "at the beginning", flag="--lamp-lit")
-    flashes: tuple[str, ...] = setting((), "in between", flag="--flash", metavar="1s@2s")
+    power: float = setting(5.0, help="at 100 %", unit="W", at_least=0.0, below=20.0, flag="--power")
+    dark_after: float = setting(1.0, help="as long it shines", at_least=0.0, may_be_infinite=True)
+    share: float = setting(0.5, help="of the room", at_most=1.0)
+    offset: float = setting(0.0, help="from the middle", unit="m")
+    colour: str = setting("red", help="it has", choices=("red", "green"), flag="--colour")
+    kind: str = setting("arc", help="of lamp", choices=lambda: ("arc", "led"))
+    lit: bool = setting(True, help="at the beginning", flag="--lamp-lit")
+    flashes: tuple[str, ...] = setting((), help="in between", flag="--flash", metavar="1s@2s")
 
 
 @dataclass(frozen=True)
 class Room:
     """A room."""
 
-    doors: int = setting(1, "to it", at_least=1, flag="--doors")
+    doors: int = setting(1, help="to it", at_least=1, flag="--doors")
     lamp: Lamp = field(default_factory=Lamp)
 
 

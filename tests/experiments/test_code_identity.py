@@ -25,6 +25,9 @@ class Clamp:
     def of(self, torque: float) -> float:
         """The torque within it."""
         return min(torque, LIMIT)
+
+    def flag(self, parser):
+        parser.add_argument("--clamp", help="of torques", metavar="X")
 '''
 CODES = read_toml(ROOT / "experiments/studies/published_codes.toml", what="published codes")["code"]
 
@@ -42,6 +45,7 @@ def of(source: str, *, name: str = "shared/clamp.py") -> str:
         ('"""The torque within it."""', "# no docstring at all"),
         ("min(torque, LIMIT)", "min(\n            torque,\n            LIMIT,\n        )"),
         ("\n\n\n", "\n"),
+        ('help="of torques"', 'help="of all torques"'),
     ],
 )
 def test_prose_and_layout_are_free_to_change(old: str, new: str) -> None:
@@ -57,6 +61,7 @@ def test_prose_and_layout_are_free_to_change(old: str, new: str) -> None:
         ("min(torque, LIMIT)", "min(LIMIT, torque)"),
         ("        return min", "        'a string that is no docstring'; return 1 * min"),
         ("torque: float", "torque: int"),
+        ("--clamp", "--limit"),
     ],
 )
 def test_what_the_code_does_is_not(old: str, new: str) -> None:
