@@ -13,7 +13,7 @@ import sys
 from benchmarks import capacity, core, lockstep, netem, viewer
 from benchmarks.real_path.measure import add_real_path_arguments, run_real_path
 from shared.errors import ConfigError
-from shared.process.cli import EXIT_STANDING, Command, run, run_command
+from shared.process.cli import EXIT_STANDING, Subcommand, run, run_command
 
 
 def _add_core_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,17 +84,17 @@ def _run_viewer(arguments: argparse.Namespace) -> int:
 
 
 _COMMANDS = (
-    Command("capacity", "recorded delays given back", _add_capacity_arguments, _run_capacity),
-    Command("core", "where the time goes", _add_core_arguments, _run_core),
-    Command("lockstep", "speed of a trial", _add_lockstep_arguments, _run_lockstep),
-    Command("netem", "how exactly the link is emulated", _add_netem_arguments, _run_netem),
-    Command(
+    Subcommand("capacity", "recorded delays given back", _add_capacity_arguments, _run_capacity),
+    Subcommand("core", "where the time goes", _add_core_arguments, _run_core),
+    Subcommand("lockstep", "speed of a trial", _add_lockstep_arguments, _run_lockstep),
+    Subcommand("netem", "how exactly the link is emulated", _add_netem_arguments, _run_netem),
+    Subcommand(
         "real-path",
         "two namespaces and a slow cable, as root",
         add_real_path_arguments,
         run_real_path,
     ),
-    Command("viewer", "whether watching disturbs the robot", _add_viewer_arguments, _run_viewer),
+    Subcommand("viewer", "whether watching disturbs the robot", _add_viewer_arguments, _run_viewer),
 )
 
 

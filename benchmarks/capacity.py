@@ -52,7 +52,7 @@ def _of(scenario: str, names: Sequence[str], way: int) -> list[str]:
             replayed[part].append(delays[counted])
     before = np.concatenate(recorded)
     after = {part: np.concatenate(each) for part, each in replayed.items()}
-    told = f"{scenario}, {DIRECTIONS[way]}"
+    text = f"{scenario}, {DIRECTIONS[way]}"
     rows = {
         "recorded": before,
         "replayed": after[1],
@@ -61,7 +61,7 @@ def _of(scenario: str, names: Sequence[str], way: int) -> list[str]:
         "load / 100": after[100],
     }
     return [
-        f"{told if k == 0 else '':33}{name:10}"
+        f"{text if k == 0 else '':33}{name:10}"
         + "".join(f"{value:9.2f}" for value in np.nanquantile(values, _QUANTILES))
         for k, (name, values) in enumerate(rows.items())
     ]

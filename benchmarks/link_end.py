@@ -45,7 +45,7 @@ class Arrivals:
     def __init__(self) -> None:
         self.inbox = Inbox()
         self.newest_sent_ns = 0
-        self._told = False
+        self._reported = False
         self._rows: list[tuple[int, int, int, int]] = []
 
     def receive(self, delivery: Delivery) -> None:
@@ -61,8 +61,8 @@ class Arrivals:
     def take(self) -> bool:
         """Whether anything has arrived since the last call."""
         arrived = bool(self.inbox.take())
-        if arrived and not self._told:
-            self._told = True
+        if arrived and not self._reported:
+            self._reported = True
             print("FIRST", flush=True)
         return arrived
 

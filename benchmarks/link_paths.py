@@ -64,7 +64,7 @@ class Started:
             self._heard += chunk
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         """What it has printed so far."""
         return self._heard.decode(errors="replace")
 
@@ -191,8 +191,8 @@ def _command(*words: str) -> None:
     except FileNotFoundError:
         raise LinkError(f"no `{words[0]}` command: install iproute2") from None
     if done.returncode != 0:
-        said = (done.stderr.strip() or "no reason given").splitlines()[-1]
-        raise LinkError(f"{' '.join(words)}: {said}")
+        reason = (done.stderr.strip() or "no reason given").splitlines()[-1]
+        raise LinkError(f"{' '.join(words)}: {reason}")
 
 
 def _free_endpoints(count: int) -> list[str]:

@@ -23,7 +23,7 @@ Open = Callable[[Path], AbstractContextManager[LinkPath]]
 
 
 @dataclass(frozen=True)
-class Trial:
+class LinkTrial:
     """What was sent within a span of time.
 
     `arrivals` at the far end and at the near end, uplink and downlink, (n, 4) as `link_end` has
@@ -57,7 +57,7 @@ class WayErrors:
     received_ns: np.ndarray
 
 
-def run_trial(open_path: Open, *, seconds: float, answer: bool) -> Trial:
+def run_trial(open_path: Open, *, seconds: float, answer: bool) -> LinkTrial:
     """Send both ways for so long; with `answer` the far end only answers."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -83,11 +83,11 @@ def run_trial(open_path: Open, *, seconds: float, answer: bool) -> Trial:
             end_ns, used_after = time.monotonic_ns(), _processor_seconds(path)
             for process in (far, near):
                 process.end()
-            scheduling = near.said.split("READY ")[1].splitlines()[0]
+            scheduling = near.output.split("READY ")[1].splitlines()[0]
         up, down = (np.load(folder / f"{end}.npy") for end in ("far", "near"))
         log = folder / "link.parquet"
         rows = read_parquet(log)[1] if log.exists() else np.zeros((0, LINK_SCHEMA.width))
-    return Trial(
+    return LinkTrial(
         arrivals=(_sent_within(up, begin_ns, end_ns), _sent_within(down, begin_ns, end_ns)),
         log=rows,
         processor=(used_after - used_before) / ((end_ns - begin_ns) * 1e-9),
@@ -99,7 +99,7 @@ def _processor_seconds(path: LinkPath) -> float:
     return 0.0 if path.between is None else path.between.processor_seconds()
 
 
-def way_errors(trial: Trial, direction: int, *, one_way_ns: int | None) -> WayErrors:
+def way_errors(trial: LinkTrial, direction: int, *, one_way_ns: int | None) -> WayErrors:
     """Errors of one direction; the nominal delay is `one_way_ns`, None: as the shim logged it."""
     arrivals = trial.arrivals[direction]
     sequence, sent_ns = arrivals[:, SEQUENCE], arrivals[:, SENT]

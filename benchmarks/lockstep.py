@@ -63,8 +63,8 @@ def run(*, repetitions: int, seconds: float | None) -> str:
             each = [timed_trial(task, controller, seconds=seconds) for _ in range(repetitions)]
             lines.append(_line(f"{task}, {controller.upper()}", each))
     length = "whole trials" if seconds is None else f"trials of {seconds:g} s"
-    told = f"{length} over {_NETWORK}, medians of {repetitions}; by part the mean of all ticks"
-    return "\n".join([f"{top}; {told}", "", *aligned(lines, left=0)])
+    text = f"{length} over {_NETWORK}, medians of {repetitions}; by part the mean of all ticks"
+    return "\n".join([f"{top}; {text}", "", *aligned(lines, left=0)])
 
 
 def timed_trial(task: str, controller: str, *, seconds: float | None) -> TrialTime:

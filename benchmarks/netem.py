@@ -27,7 +27,7 @@ from benchmarks.link_paths import (
     shim,
     why_no_kernel,
 )
-from benchmarks.link_trial import Open, Trial, run_trial, way_errors
+from benchmarks.link_trial import LinkTrial, Open, run_trial, way_errors
 from benchmarks.timing import cores_busy, machine
 from netem.profile import DIRECTIONS
 from netem.tun import why_not_permitted
@@ -117,7 +117,7 @@ def _references() -> tuple[list[_Case], list[str]]:
     return cases, ["", *remarks] if remarks else []
 
 
-def _try(case: _Case, load: str, *, seconds: float, answer: bool = False) -> Trial:
+def _try(case: _Case, load: str, *, seconds: float, answer: bool = False) -> LinkTrial:
     cores = os.cpu_count() or 1
     with _busy_processes(cores if load == "loaded" else 0):
         return run_trial(case.open_path, seconds=seconds, answer=answer)
@@ -136,7 +136,7 @@ def _busy_processes(count: int) -> Iterator[None]:
             process.wait()
 
 
-def _error_lines(case: _Case, load: str, trial: Trial) -> list[str]:
+def _error_lines(case: _Case, load: str, trial: LinkTrial) -> list[str]:
     lines = []
     for direction, name in enumerate(DIRECTIONS):
         way = way_errors(trial, direction, one_way_ns=case.one_way_ns)

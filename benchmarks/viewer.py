@@ -71,7 +71,7 @@ class Ticks:
 
     p50: float
     p99: float
-    most: float
+    maximum: float
     late_p99: float
     overruns: int
 
@@ -111,7 +111,7 @@ def play(case: Case, *, seconds: float) -> Ticks:
         if code is None:
             raise LinkError(f"{case.name}: the run did not end within {_MORE_SECONDS:g} s more")
         if code != 0:
-            raise LinkError(f"{case.name}: the run ended with {code}; it said: {_said(folder)}")
+            raise LinkError(f"{case.name}: the run ended with {code}; it said: {_output(folder)}")
         return read_ticks(folder / "run" / "telemetry.parquet")
 
 
@@ -145,10 +145,10 @@ def read_ticks(file: Path) -> Ticks:
     if not len(first) or not len(rows):
         raise ConfigError(f"{file}: expected a run of more than a second")
     tick_ms = schema.column(rows, "tick_ns") * 1e-6
-    p50, p99, most = np.percentile(tick_ms, [50, 99, 100])
+    p50, p99, maximum = np.percentile(tick_ms, [50, 99, 100])
     overruns = schema.column(rows, "overruns")[-1] - schema.column(first, "overruns")[-1]
     late_p99 = np.percentile(schema.column(rows, "late_ns") * 1e-6, 99)
-    return Ticks(float(p50), float(p99), float(most), float(late_p99), int(overruns))
+    return Ticks(float(p50), float(p99), float(maximum), float(late_p99), int(overruns))
 
 
 @contextmanager
@@ -157,11 +157,11 @@ def _up(case: Case, folder: Path, *, seconds: float) -> Iterator[subprocess.Pope
     command = python("-m", "deploy.up", "--network", _NETWORK, "--controller", "la")
     command += ["--push", "none", "--duration", f"{seconds:g}", "--view", case.view]
     command += ["--out", str(folder / "run")]
-    with (folder / "said").open("wb") as said:
+    with (folder / "said").open("wb") as output:
         up = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
-            stdout=said,
+            stdout=output,
             stderr=subprocess.STDOUT,
             preexec_fn=end_with_parent if sys.platform == "linux" else None,
         )
@@ -188,10 +188,10 @@ def _viewer(up: subprocess.Popen[bytes], folder: Path) -> int:
                     # A service is the leader of a group of its own.
                     return service.pid
             break
-    raise LinkError(f"the run has no viewer to disturb; it said: {_said(folder)}")
+    raise LinkError(f"the run has no viewer to disturb; it said: {_output(folder)}")
 
 
-def _said(folder: Path) -> str:
+def _output(folder: Path) -> str:
     """The last line of `./deploy/up`."""
     lines = (folder / "said").read_text(encoding="utf-8").splitlines()
     return lines[-1] if lines else "nothing"
@@ -227,7 +227,7 @@ def _table(played: dict[Case, list[Ticks]]) -> list[str]:
 
 
 def _spanned(values: Sequence[float], *, digits: int) -> str:
-    median, least, most = (
+    median, least, maximum = (
         f"{value:.{digits}f}" for value in (np.median(values), min(values), max(values))
     )
-    return f"{median} ({least}–{most})"
+    return f"{median} ({least}–{maximum})"

@@ -79,7 +79,7 @@ def main() -> int:
     arguments = parser.parse_args()
     robots = tuple(dict.fromkeys(arguments.robot or [RobotConfig.name]))
     made = make(arguments.folder, robots=robots, hosts=arguments.host, add=arguments.add)
-    print(_told(arguments.folder, made, hosts=arguments.host))
+    print(_in_words(arguments.folder, made, hosts=arguments.host))
     return EXIT_STANDING
 
 
@@ -268,7 +268,7 @@ def _create(path: Path, data: bytes, *, mode: int) -> None:
         file.write(data)
 
 
-def _told(folder: Path, roles: Sequence[str], *, hosts: Sequence[str]) -> str:
+def _in_words(folder: Path, roles: Sequence[str], *, hosts: Sequence[str]) -> str:
     """What was made, and what belongs on which machine."""
     ends = datetime.now(timezone.utc) + timedelta(days=_DAYS)
     lines = [f"made in {folder}, valid until {ends:%Y-%m-%d}:"]

@@ -35,7 +35,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Step:
+class PlannedService:
     """A service to start as `python -m` these arguments, without the flags that it `takes`."""
 
     service: Service
@@ -53,7 +53,7 @@ class Plan:
     `opens` is where one of them listens for other machines, if one does.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[PlannedService, ...]
     secure: Path | None
     notes: tuple[str, ...]
     opens: Endpoint | None = None
@@ -129,7 +129,7 @@ def make_plan(
     if opens is not None:
         notes.append(_note_on_listening(here[-1], opens))
     steps = tuple(
-        Step(chosen[name], (*chosen[name].command, *arguments.get(name, ())))
+        PlannedService(chosen[name], (*chosen[name].command, *arguments.get(name, ())))
         for name in starting_order(chosen)
         if name != VIEWER or view != "off"
     )

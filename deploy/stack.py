@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deploy.background.control_server import OrderDesk
+from deploy.background.control_server import ControlServer
 from deploy.background.detach import tell_ready
 from deploy.background.registry import Registry
 from deploy.background.state import (
@@ -30,7 +30,7 @@ from deploy.background.state import (
 from deploy.console.terminal import Terminal
 from deploy.console.watch import open_hub, status_of, tell
 from deploy.outcome import keep_report, record, summarise
-from deploy.plan import ROBOT, VIEWER, Plan, Step
+from deploy.plan import ROBOT, VIEWER, Plan, PlannedService
 from deploy.services import IGNORED, OUTCOME, Service
 from deploy.supervisor import Launch, Supervisor
 from shared.config.settings import RunConfig
@@ -58,7 +58,7 @@ class Run:
     ready_fd: int | None = None
 
 
-class Stack:
+class StackRun:
     """The processes of one run."""
 
     def __init__(self, run: Run) -> None:
@@ -101,7 +101,7 @@ class Stack:
             failure: LinkError | None = None
             code = EXIT_ERROR
             try:
-                async with OrderDesk(self._folder, self._supervisor.restart):
+                async with ControlServer(self._folder, self._supervisor.restart):
                     code = await self._play()
             except LinkError as error:
                 failure = error
@@ -185,13 +185,13 @@ class Stack:
         if service.end == OUTCOME and code in (EXIT_STANDING, EXIT_FELL, EXIT_INTERRUPTED):
             await self._linger()
             return code
-        told = f"{service.name} ended ({exit_in_words(code)}): everything was stopped; "
-        told += f"its log is {self._out / service.name}.log"
+        text = f"{service.name} ended ({exit_in_words(code)}): everything was stopped; "
+        text += f"its log is {self._out / service.name}.log"
         if code > 0:
             # An error of its own is its last line.
             reason = self._supervisor.last_line(service.name).removeprefix("error: ")
-            told += f"; it said last: {reason}"
-        raise LinkError(told)
+            text += f"; it said last: {reason}"
+        raise LinkError(text)
 
     async def _linger(self) -> None:
         """Leave a view open for the person in front of it until Ctrl-C or until it is closed."""
@@ -202,7 +202,7 @@ class Stack:
         while self._supervisor.running(VIEWER) and not self._stop.is_set():
             await asyncio.sleep(_STATUS_SECONDS)
 
-    def _launch(self, step: Step) -> Launch:
+    def _launch(self, step: PlannedService) -> Launch:
         run, secure = self._run, self._run.plan.secure
         values = {
             "config": self._out / "config.toml",
@@ -252,9 +252,9 @@ class Stack:
         whole = (self._out / "recording.rrd").exists() and VIEWER not in self._restarted
         if not whole and self._run.ready_fd is None:
             record(self._out, lambda line: self._say(VIEWER, line))
-        told = summary_in_words(result)
-        self._terminal.tell("\n".join([told, *self._happened(), f"  files: {self._out}"]))
-        return told.splitlines()[0]
+        text = summary_in_words(result)
+        self._terminal.tell("\n".join([text, *self._happened(), f"  files: {self._out}"]))
+        return text.splitlines()[0]
 
     def _happened(self) -> list[str]:
         """What the summary, made of the services' files, does not know."""
@@ -262,5 +262,5 @@ class Stack:
             f"{name} started again {self._restarted.count(name)} ×"
             for name in dict.fromkeys(self._restarted)
         ]
-        told = "; ".join([*filter(None, [self._status.events.in_words()]), *again])
-        return [f"  {told}"] if told else []
+        text = "; ".join([*filter(None, [self._status.events.in_words()]), *again])
+        return [f"  {text}"] if text else []

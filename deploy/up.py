@@ -32,7 +32,7 @@ from deploy.plan import (
     services_of,
 )
 from deploy.services import Service, load_services
-from deploy.stack import Run, Stack
+from deploy.stack import Run, StackRun
 from netem.networks import load_network
 from shared.config.config_file import dump_config
 from shared.config.settings import RunConfig
@@ -86,7 +86,7 @@ def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd:
         print("no screen: the run is recorded, not shown (--view web for a browser)", flush=True)
     hub = f"tcp/127.0.0.1:{telemetry}"
     described = Run(config, plan, out, hub, arguments.name, ready_fd)
-    return asyncio.run(Stack(described).run())
+    return asyncio.run(StackRun(described).run())
 
 
 def _parser(services: str) -> Parser:

@@ -8,7 +8,7 @@ begin(__name__)
 
 import time
 
-from edge_node.client_monitor import Visits
+from edge_node.client_monitor import ClientMonitor
 from edge_node.node import EdgeNode
 from shared.bus.base import Inbox
 from shared.bus.security import EDGE
@@ -70,13 +70,13 @@ def main() -> int:
     where = arguments.connect or arguments.listen
     print(f"READY {where} for {me.robot} ({scheduling}; {config.wbc.solver})", flush=True)
 
-    visits = Visits()
+    monitor = ClientMonitor()
     while not stop.requested:
         heard = inbox.wait(_POLL_NS)
         for data in inbox.take():
             node.receive(data)
         started_ns = time.monotonic_ns()
-        for line in visits.look(started_ns, heard=heard, refused=node.refused):
+        for line in monitor.look(started_ns, heard=heard, refused=node.refused):
             print(line, flush=True)
         answer = node.step()
         if answer is None:

@@ -1,4 +1,4 @@
-"""Tells who comes and goes at an edge that serves robot after robot, and whom it does not serve."""
+"""Reports which robots come to an edge and leave it, and which ones it refuses."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ _HINTS = {
 _OTHER = "see docs/wire.md; counted in the report at the end"
 
 
-class Visits:
+class ClientMonitor:
     """What has happened since the last look, in lines for a person; nothing most of the time.
 
-    A visit begins with a message after a second of silence and ends with the next such silence.
-    Each reason for refusing is told once a visit.
+    A robot comes with a message after a second of silence and leaves with the next such silence.
+    Each reason for refusing is reported once in between.
     """
 
     def __init__(self) -> None:
         self._last_heard_ns: int | None = None
         self._refused: dict[str, int] = {}
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def look(self, now_ns: int, *, heard: bool, refused: Mapping[str, int]) -> list[str]:
         """`heard`: whether messages have come since the last look; `refused` so far, by reason."""
@@ -31,13 +31,13 @@ class Visits:
             if self._last_heard_ns is None or now_ns - self._last_heard_ns <= _SILENCE_NS:
                 return []
             self._last_heard_ns = None
-            self._told.clear()
+            self._reported.clear()
             return ["no states for 1 s; waiting for a robot"]
         lines = ["a robot is sending states"] if self._last_heard_ns is None else []
         self._last_heard_ns = now_ns
         for reason, count in refused.items():
-            if count > self._refused.get(reason, 0) and reason not in self._told:
-                self._told.add(reason)
+            if count > self._refused.get(reason, 0) and reason not in self._reported:
+                self._reported.add(reason)
                 lines.append(f"refuses a robot's states ({reason}): {_HINTS.get(reason, _OTHER)}")
         self._refused.update(refused)
         return lines

@@ -27,7 +27,7 @@ from shared.wire.codec import Codec
 from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
 
 # Of the refresh distance, and at most so far [rad]: further ahead velocities tell little.
-_LEAD, _MOST_LEAD = 0.7, 0.05
+_LEAD, _MAX_LEAD = 0.7, 0.05
 _STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 
 
@@ -87,8 +87,8 @@ class EdgeNode:
         state, self._newest = self._newest, None
         if state is None:
             return None
-        if state.holds is not None:
-            return self._factorise(state, state.holds)
+        if state.held_sequences is not None:
+            return self._factorise(state, state.held_sequences)
         return self._project(state)
 
     def solve(self, state: RobotState) -> tuple[WholeBodySolution, np.ndarray]:
@@ -117,15 +117,15 @@ class EdgeNode:
         )
         return Answer(state.sequence, solution, self._codec.encode_projector(message))
 
-    def _factorise(self, state: RobotState, holds: tuple[int, ...]) -> Answer | None:
+    def _factorise(self, state: RobotState, held_sequences: tuple[int, ...]) -> Answer | None:
         """Factorisations for a robot that corrects, where it needs new ones; or a sign of life."""
         correction = self._config.correction
         self._posture.observe(state.q, state.v, stamp_ns=state.stamp_ns)
-        modes = self._refresh.due(state, holds, posture=self._posture.now)
+        modes = self._refresh.due(state, held_sequences, posture=self._posture.now)
         if modes is None:
             return None
         # Ahead of a robot in motion: it then passes this posture half-way through its use.
-        posture = self._posture.ahead(min(_LEAD * correction.refresh_distance, _MOST_LEAD))
+        posture = self._posture.ahead(min(_LEAD * correction.refresh_distance, _MAX_LEAD))
         q = state.q.copy()
         q[7:] = posture + self._posture_error
         factorisations = self._controller.factorise(q, modes, damping=correction.damping)

@@ -40,7 +40,7 @@ class FactorisationRefresh:
         self._sent: dict[ContactMode, _Sent] = {}
 
     def due(
-        self, state: RobotState, holds: tuple[int, ...], *, posture: np.ndarray
+        self, state: RobotState, held_sequences: tuple[int, ...], *, posture: np.ndarray
     ) -> tuple[ContactMode, ...] | None:
         """Contact modes to factorise now that the joints are at `posture` (nv − 6,) [rad].
 
@@ -49,7 +49,7 @@ class FactorisationRefresh:
         if state.session != self._session:
             self._session = state.session
             self._sent.clear()
-        self._note_arrivals(state, holds)
+        self._note_arrivals(state, held_sequences)
         needed = {state.mode, self._next_mode(state)}
         modes = tuple(mode for mode in ContactMode if self._is_due(mode, state, needed, posture))
         silent = state.stamp_ns - self._answered_ns >= self._config.retry_ns
@@ -65,9 +65,9 @@ class FactorisationRefresh:
             tries = 1 if before is None or before.arrived else before.tries + 1
             self._sent[mode] = _Sent(state.sequence, state.stamp_ns, posture.copy(), tries)
 
-    def _note_arrivals(self, state: RobotState, holds: tuple[int, ...]) -> None:
+    def _note_arrivals(self, state: RobotState, held_sequences: tuple[int, ...]) -> None:
         for mode, sent in self._sent.items():
-            if holds[mode] >= sent.sequence and not sent.arrived:
+            if held_sequences[mode] >= sent.sequence and not sent.arrived:
                 self._round_trip_ns = state.stamp_ns - sent.stamp_ns
                 self._sent[mode] = replace(sent, arrived=True)
 

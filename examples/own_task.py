@@ -16,10 +16,9 @@ import numpy as np
 from experiments.lockstep import Lockstep, TrialResult
 from shared.config.config_file import load_config
 from shared.config.settings import RunConfig
-from shared.motion.digest import motion_digest
 from shared.motion.standing import Standing
 from shared.robots import Robot
-from shared.wbc.reference import Reference
+from shared.wbc.reference import Reference, motion_digest
 
 DEPTH, PERIOD = 0.06, 2.0  # m, s
 
@@ -35,8 +34,7 @@ class KneeBends(Standing):
     def reference(self, time_ns: int) -> Reference:
         """−DEPTH (1 − cos ωt) / 2 and its derivatives, added to the CoM of standing."""
         standing, rate = super().reference(time_ns), 2.0 * math.pi / PERIOD
-        angle = rate * time_ns * 1e-9
-        up = np.array([0.0, 0.0, 1.0])
+        angle, up = rate * time_ns * 1e-9, np.array([0.0, 0.0, 1.0])
         return dataclasses.replace(
             standing,
             com=standing.com - 0.5 * DEPTH * (1.0 - math.cos(angle)) * up,

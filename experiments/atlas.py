@@ -163,8 +163,8 @@ def in_words(squares: list[Row]) -> str:
     counts = {(s["controller"], s["force"], s["delay_ns"]): s for s in squares}
     for controller, force in dict.fromkeys((s["controller"], s["force"]) for s in squares):
         found = [counts[controller, force, delay] for delay in delays]
-        told = [f"{square['fell']}/{square['played']}" for square in found]
-        lines.append([controller.upper(), f"{force:g} N", *told])
+        words = [f"{square['fell']}/{square['played']}" for square in found]
+        lines.append([controller.upper(), f"{force:g} N", *words])
     return "\n".join(["fell of those played, over the round trip", *aligned(lines, left=0)])
 
 

@@ -76,8 +76,8 @@ def add_convert_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="same|constant:5ms",
         help="the way that the file says nothing of",
     )
-    for flag, field, _, example, told in _FLAGS:
-        parser.add_argument(f"--{flag}", dest=field, metavar=example, help=told)
+    for flag, field, _, example, words in _FLAGS:
+        parser.add_argument(f"--{flag}", dest=field, metavar=example, help=words)
 
 
 def run_convert(arguments: argparse.Namespace) -> int:

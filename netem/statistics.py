@@ -20,7 +20,7 @@ _QUANTILES = (0.5, 0.9, 0.99, 0.999)
 
 
 @dataclass(frozen=True)
-class Outage:
+class ObservedOutage:
     """Messages `first` to `last`, both caught; `peak_ms` is inf if all of them were lost."""
 
     first: int
@@ -71,7 +71,7 @@ def delays_ms(profile: DelayProfile, link: str) -> np.ndarray:
     return up + ways[DOWNLINK][arrival % n]
 
 
-def outages(delays: np.ndarray) -> list[Outage]:
+def outages(delays: np.ndarray) -> list[ObservedOutage]:
     """The outages of one way [ms] (n,), in order."""
     threshold = max(OUTAGE_MS, 2.0 * float(np.median(delays[np.isfinite(delays)])))
     caught = np.concatenate([[False], delays > threshold, [False]])
@@ -81,7 +81,7 @@ def outages(delays: np.ndarray) -> list[Outage]:
         within = delays[first:end]
         passed = within[np.isfinite(within)]
         found.append(
-            Outage(int(first), int(end) - 1, float(passed.max()) if len(passed) else np.inf)
+            ObservedOutage(int(first), int(end) - 1, float(passed.max()) if len(passed) else np.inf)
         )
     return found
 

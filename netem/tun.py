@@ -170,8 +170,8 @@ def _ip(*arguments: str) -> str:
         ["ip", *arguments], check=False, capture_output=True, text=True, start_new_session=True
     )
     if done.returncode != 0:
-        said = (done.stderr.strip() or "no reason given").splitlines()[-1]
-        denied = "permitted" in said or "denied" in said
+        reason = (done.stderr.strip() or "no reason given").splitlines()[-1]
+        denied = "permitted" in reason or "denied" in reason
         remedy = "; in a container it needs CAP_SYS_ADMIN and CAP_NET_ADMIN" if denied else ""
-        raise LinkError(f"ip {' '.join(arguments)}: {said}{remedy}")
+        raise LinkError(f"ip {' '.join(arguments)}: {reason}{remedy}")
     return done.stdout

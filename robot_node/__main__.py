@@ -15,7 +15,7 @@ from robot_node.live import LiveLoop, Narrator
 from robot_node.node import RobotNode
 from robot_node.worker import WorkerComputer
 from shared.bus.base import Inbox
-from shared.bus.preflight import knock
+from shared.bus.preflight import preflight
 from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import LinkError
 from shared.motion.plan import make_motion
@@ -83,7 +83,7 @@ def main() -> int:
         uplink=uplink,
         inbox=inbox,
         log=log.rows,
-        explain=lambda: knock(arguments.connect, me.credentials),
+        explain=lambda: preflight(arguments.connect, me.credentials),
     )
     bus.subscribe(DOWNLINK.key_for(me.robot), loop.receive)
     suspend_garbage_collection()

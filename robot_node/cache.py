@@ -76,7 +76,7 @@ class AnswerCache(ABC):
         return True
 
     @property
-    def holds(self) -> tuple[int, ...] | None:
+    def held_sequences(self) -> tuple[int, ...] | None:
         """What to tell the edge is here, see `RobotState`."""
         return None
 
@@ -149,7 +149,7 @@ class FactorisationCache(AnswerCache):
         self._entries: dict[ContactMode, CorrectorEntry] = {}
 
     @property
-    def holds(self) -> tuple[int, ...]:
+    def held_sequences(self) -> tuple[int, ...]:
         return tuple(
             entry.sequence if (entry := self._entries.get(mode)) is not None else -1
             for mode in ContactMode

@@ -160,7 +160,7 @@ class Narrator:
 
     def _watch(self) -> None:
         running, stale_since, holding, stopping = False, 0.0, False, False
-        told = {_OVERTAKEN}
+        reported = {_OVERTAKEN}
         while not self._done.wait(self._PERIOD_SECONDS):
             progress = self._loop.progress
             if not progress.running:
@@ -184,8 +184,8 @@ class Narrator:
             if progress.source is Source.STOPPING and not stopping:
                 stopping = True
                 self._say(f"{at}: corrections are doubtful: ending the walk")
-            for reason in self._loop.refused.keys() - told:
-                told.add(reason)
+            for reason in self._loop.refused.keys() - reported:
+                reported.add(reason)
                 self._say(
                     f"{at}: refuses messages on its key ({reason}): see docs/wire.md; counted in "
                     "the report at the end"

@@ -17,7 +17,7 @@ from robot_node.controllers import Command, ControllerParts, MakeController, mak
 from robot_node.onboard import MakeSolve, ModelledComputer, OnBoardComputer, StartComputer
 from robot_node.plant import MujocoPlant, Plant
 from robot_node.rigid_plant import RigidPlant
-from robot_node.safety import JointHold, RungChange, TorqueGuard, has_fallen
+from robot_node.safety import JointHold, TorqueGuard, TorqueRateLimiter, has_fallen
 from robot_node.sensors import Sensors
 from robot_node.tick_row import Moment, TickRow
 from shared.bus.base import new_session
@@ -83,7 +83,7 @@ class RobotNode:
         self.cache = self.controller.cache
         self.on_board = self.controller.on_board
         self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
-        self._rung_change = RungChange(self._guard)
+        self._torque_rate_limiter = TorqueRateLimiter(self._guard)
         self._last_rung = Source.HELD
         self._hold = JointHold(robot)
         self._hold_after_ns = config.loop.hold_after * 1e9
@@ -112,7 +112,7 @@ class RobotNode:
                 mode=self._reference.mode,
                 q=q,
                 v=v,
-                holds=self.cache.holds,
+                held_sequences=self.cache.held_sequences,
             )
         )
 
@@ -207,7 +207,7 @@ class RobotNode:
             return tau
         rung = source if source in (Source.HELD, Source.CACHED) else Source.FRESH
         changed, self._last_rung = rung is not self._last_rung, rung
-        return self._rung_change.bound(tau, changed=changed)
+        return self._torque_rate_limiter.bound(tau, changed=changed)
 
     def _held(self, *, age_ns: int) -> Command:
         tau = self._guard.accept(self._hold.torque(self._q, self._v))

@@ -33,7 +33,7 @@ class TorqueGuard:
         return np.minimum(np.maximum(tau, -self.limit), self.limit)
 
 
-class RungChange:
+class TorqueRateLimiter:
     """Bounds the torque step when the robot changes the rung of its ladder.
 
     From there on each joint moves by at most a tenth of its limit per tick, until it has caught up

@@ -68,12 +68,12 @@ def _loading() -> _Loading:
     return _Loading()
 
 
-def until(happened: Callable[[], _Found], told: Callable[[], str] | str) -> _Found:
-    """What `happened()` returns as soon as that is true; else fails with what `told` tells."""
+def until(happened: Callable[[], _Found], message: Callable[[], str] | str) -> _Found:
+    """What `happened()` returns as soon as that is true; else fails with what `message` tells."""
     patience = Patience()
     while not (found := happened()):
         if patience.exhausted:
-            reason = told if isinstance(told, str) else told()
+            reason = message if isinstance(message, str) else message()
             raise AssertionError(f"in vain for {patience.waited_seconds:.0f} s: {reason}")
         time.sleep(0.01)
     return found
@@ -94,11 +94,11 @@ def played(
         command, cwd=ROOT, env=env, stdin=pipe, stdout=pipe, stderr=pipe, text=True
     ) as process:
         try:
-            said = _communicated(process, given)
+            shown = _communicated(process, given)
         except BaseException:
             process.kill()
             raise
-    return subprocess.CompletedProcess(command, process.returncode, *said)
+    return subprocess.CompletedProcess(command, process.returncode, *shown)
 
 
 def _communicated(process: subprocess.Popen[str], given: str) -> tuple[str, str]:
@@ -148,14 +148,14 @@ class Process:
     def wait_for(self, text: str, *, times: int = 1) -> str:
         """The first line that contains `text`; or the second, the third …"""
 
-        def said() -> str | None:
+        def shown() -> str | None:
             # Asked first: what it said before it ended is still read.
             over = not self._reader.is_alive()
             lines = [line for line in list(self.lines) if text in line]
             assert len(lines) >= times or not over, f"ended without {text!r}:\n{self.output}"
             return lines[times - 1] if len(lines) >= times else None
 
-        line = until(said, lambda: f"no line with {text!r}; output so far:\n{self.output}")
+        line = until(shown, lambda: f"no line with {text!r}; output so far:\n{self.output}")
         assert line is not None
         return line
 

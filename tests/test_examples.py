@@ -23,11 +23,11 @@ def test_an_example_is_a_page_and_says_how_it_is_run(path):
 
 def test_a_trial_plays_each_controller_and_says_what_happened(capsys):
     results = trial.main(duration=0.2)
-    said = capsys.readouterr().out
+    message = capsys.readouterr().out
     assert list(results) == ["pr", "la", "lc"]
     for name, result in results.items():
         assert result.summary["controller"] == name
-        assert f"Stands after 0.20 s of balance with {name.upper()} over factory/011" in said
+        assert f"Stands after 0.20 s of balance with {name.upper()} over factory/011" in message
 
 
 def test_with_the_last_solution_romeo_stands_where_pr_falls(capsys):

@@ -39,10 +39,10 @@ def test_a_module_is_late_and_else_the_same(late: None, tmp_path: Path, module: 
     with subprocess.Popen(
         [sys.executable, "-m", module, "-m", "x y"], cwd=tmp_path, stdout=subprocess.PIPE, text=True
     ) as process:
-        said, _ = process.communicate()
+        output, _ = process.communicate()
     waited = time.monotonic() - began
-    told, executable, childs = said.rsplit(" ", 2)
-    assert told == f"{process.pid} __main__ ['-m', 'x y']"
+    message, executable, childs = output.rsplit(" ", 2)
+    assert message == f"{process.pid} __main__ ['-m', 'x y']"
     assert process.returncode == 5
     assert waited - float(childs) > LATE_SECONDS
     # What starts services makes them late.
@@ -54,6 +54,6 @@ def test_a_module_is_late_and_else_the_same(late: None, tmp_path: Path, module: 
 def test_code_is_late_and_else_the_same(late: None) -> None:
     began = time.monotonic()
     code = "import sys; print(sys.argv)"
-    said = subprocess.check_output(python("-c", code, "-m", "x"), text=True)
+    output = subprocess.check_output(python("-c", code, "-m", "x"), text=True)
     assert time.monotonic() - began > LATE_SECONDS
-    assert said == "['-c', '-m', 'x']\n"
+    assert output == "['-c', '-m', 'x']\n"

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from shared.config.config_file import load_config
 from shared.errors import UserError
-from shared.process.cli import EXIT_STANDING, Command, run, run_command
+from shared.process.cli import EXIT_STANDING, Subcommand, run, run_command
 from shared.process.service import StopSignal
 from viewer.display import VIEWS
 from viewer.live import watch
@@ -131,11 +131,11 @@ def _say(line: str) -> None:
 
 
 _COMMANDS = (
-    Command("live", "show a run as it happens", _add_live, _live),
-    Command("open", "show a run that is over", _add_open, _show),
-    Command("compare", "show runs side by side, their lines together", _add_compare, _show),
-    Command("snapshot", "make a picture or an animation", _add_snapshot, _snapshot),
-    Command("record", "build RUN/recording.rrd", _add_run, _record),
+    Subcommand("live", "show a run as it happens", _add_live, _live),
+    Subcommand("open", "show a run that is over", _add_open, _show),
+    Subcommand("compare", "show runs side by side, their lines together", _add_compare, _show),
+    Subcommand("snapshot", "make a picture or an animation", _add_snapshot, _snapshot),
+    Subcommand("record", "build RUN/recording.rrd", _add_run, _record),
 )
 
 

@@ -64,8 +64,8 @@ class RerunProcess:
     def _last_error(self) -> str:
         self._errors.seek(0)
         lines = self._errors.read().decode(errors="replace").split("\n")
-        told = [line for line in lines if "panicked at" in line or "error" in line.lower()]
-        reason = told[-1] if told else "no reason given"
+        errors = [line for line in lines if "panicked at" in line or "error" in line.lower()]
+        reason = errors[-1] if errors else "no reason given"
         return re.sub(r".*\.rs:\d+: |^Error: |.*panicked at ", "", reason).strip(" .'")
 
 

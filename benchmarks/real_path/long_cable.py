@@ -25,7 +25,7 @@ _OWN_MS = 0.1
 
 
 @contextlib.contextmanager
-def two_distant_machines(*, rate: str, round_trip_ms: float) -> Iterator[Machines]:
+def machines_on_long_cable(*, rate: str, round_trip_ms: float) -> Iterator[Machines]:
     """Two machines joined at `rate`, as `tc` writes it (100mbit); gone afterwards.
 
     `LinkError` says why they cannot be had.

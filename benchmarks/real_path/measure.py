@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.real_path.long_cable import two_distant_machines
+from benchmarks.real_path.long_cable import machines_on_long_cable
 from benchmarks.real_path.namespaces import Machine, Machines, two_machines
 from deploy.keys import make
 from shared.config.settings import RobotConfig
@@ -93,7 +93,7 @@ def _buffer(text: str) -> int | None:
 def _machines(rate: str, round_trip_ms: float) -> contextlib.AbstractContextManager[Machines]:
     if round_trip_ms == 0.0:
         return two_machines(rate=rate)
-    return two_distant_machines(rate=rate, round_trip_ms=round_trip_ms)
+    return machines_on_long_cable(rate=rate, round_trip_ms=round_trip_ms)
 
 
 def _trial(

@@ -21,14 +21,14 @@ from pathlib import Path
 
 from deploy.background.registry import Registry
 from deploy.background.state import ENDED, StackFolder, StackState, exit_in_words
-from deploy.console.terminal import Terminal, said
+from deploy.console.terminal import Terminal, service_line
 from deploy.services import load_services
 from shared.errors import ConfigError, LinkError
 from shared.process.cli import (
     EXIT_ERROR,
     EXIT_INTERRUPTED,
     EXIT_STANDING,
-    Command,
+    Subcommand,
     run,
     run_command,
 )
@@ -93,11 +93,11 @@ def ps(arguments: argparse.Namespace) -> int:
     if not any(stack.alive for stack, _ in found):
         print("nothing is running")
     for stack, state in found:
-        print(*_told(stack, state, alive=stack.alive, now=time.time()), sep="\n")
+        print(*_in_words(stack, state, alive=stack.alive, now=time.time()), sep="\n")
     return EXIT_STANDING
 
 
-def _told(stack: StackFolder, state: StackState, *, alive: bool, now: float) -> list[str]:
+def _in_words(stack: StackFolder, state: StackState, *, alive: bool, now: float) -> list[str]:
     """A stack in words, and a table of its services."""
     since = _time_of_day(state.since, now)
     if alive:
@@ -127,8 +127,8 @@ def _told(stack: StackFolder, state: StackState, *, alive: bool, now: float) -> 
 def _time_of_day(seconds: float, now: float) -> str:
     ago = max(0, round(now - seconds))
     parts = [(ago // 86400, "d"), (ago // 3600 % 24, "h"), (ago // 60 % 60, "min"), (ago % 60, "s")]
-    told = [f"{value} {unit}" for value, unit in parts if value][:2] or ["0 s"]
-    return f"{time.strftime('%H:%M:%S', time.localtime(seconds))} ({' '.join(told)} ago)"
+    text = [f"{value} {unit}" for value, unit in parts if value][:2] or ["0 s"]
+    return f"{time.strftime('%H:%M:%S', time.localtime(seconds))} ({' '.join(text)} ago)"
 
 
 def logs(arguments: argparse.Namespace) -> int:
@@ -138,11 +138,11 @@ def logs(arguments: argparse.Namespace) -> int:
     file = stack.log if service is None else stack.run / f"{service}.log"
     terminal = Terminal()
     for line in _lines(file, stack if arguments.follow else None):
-        told = said(line) if service is None else (service, line)
-        if told is None:
+        text = service_line(line) if service is None else (service, line)
+        if text is None:
             terminal.tell(line)
         else:
-            terminal.say(*told)
+            terminal.say(*text)
     return EXIT_STANDING
 
 
@@ -170,14 +170,14 @@ def _lines(file: Path, following: StackFolder | None) -> Iterator[str]:
 def restart(arguments: argparse.Namespace) -> int:
     """End one service and start it again; returns when it is ready."""
     # Imported here: asyncio takes as long as all that the other commands need.
-    from deploy.background.control_server import order_restart
+    from deploy.background.control_server import request_restart
 
     stack, _ = _one_with(arguments.service, arguments)
     if not stack.alive:
         raise ConfigError("nothing is running; ./deploy/up -d starts a stack")
     service = load_services()[arguments.service]
     patience = service.stop_seconds + service.ready_seconds + _PATIENCE_SECONDS
-    order_restart(stack, service.name, within_seconds=patience)
+    request_restart(stack, service.name, within_seconds=patience)
     print(f"{service.name} is ready again")
     return EXIT_STANDING
 
@@ -198,7 +198,7 @@ def down(arguments: argparse.Namespace) -> int:
     for stack, state in found:
         _wait_for_end(stack, state)
         state = stack.read()
-        print(_told(stack, state, alive=False, now=time.time())[0])
+        print(_in_words(stack, state, alive=False, now=time.time())[0])
         if state.state != ENDED:
             codes.append(EXIT_ERROR)
         # What was asked for is no failure.
@@ -220,10 +220,10 @@ def _wait_for_end(stack: StackFolder, state: StackState) -> None:
 
 
 _COMMANDS = (
-    Command("ps", "what runs, or how it ended", _add_choice, ps),
-    Command("logs", "what the services have said", _add_logs_arguments, logs),
-    Command("restart", "end one service and start it again", _add_restart_arguments, restart),
-    Command("down", "end everything", _add_choice, down),
+    Subcommand("ps", "what runs, or how it ended", _add_choice, ps),
+    Subcommand("logs", "what the services have said", _add_logs_arguments, logs),
+    Subcommand("restart", "end one service and start it again", _add_restart_arguments, restart),
+    Subcommand("down", "end everything", _add_choice, down),
 )
 
 

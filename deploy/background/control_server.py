@@ -1,4 +1,4 @@
-"""Orders to a running stack over its socket: a line of JSON each way, one order per connection."""
+"""Controls a running stack over its socket: a line of JSON each way, one request a connection."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from deploy.background.state import StackFolder, within
 from shared.errors import LinkError, UserError
 
 
-class OrderDesk:
-    """Takes orders while a stack runs: `restart(service)` is the only one."""
+class ControlServer:
+    """Serves requests while a stack runs: `restart` is the only one."""
 
     def __init__(self, stack: StackFolder, restart: Callable[[str], Awaitable[None]]) -> None:
         self._stack = stack
@@ -20,7 +20,7 @@ class OrderDesk:
         self._server: asyncio.Server | None = None
         self._open: set[asyncio.Task[None]] = set()
 
-    async def __aenter__(self) -> OrderDesk:
+    async def __aenter__(self) -> ControlServer:
         listening = socket.socket(socket.AF_UNIX)
         with within(self._stack.folder):
             listening.bind(self._stack.control.name)
@@ -42,20 +42,20 @@ class OrderDesk:
         self._open.add(task)
         answer = {"error": "the stack ended meanwhile"}
         try:
-            order = json.loads(await reader.readline())
-            await self._restart(str(order["restart"]))
+            request = json.loads(await reader.readline())
+            await self._restart(str(request["restart"]))
             answer = {}
         except UserError as error:
             answer = {"error": str(error)}
         except (ValueError, KeyError, TypeError):
-            answer = {"error": "not an order"}
+            answer = {"error": "not a request"}
         finally:
             writer.write(json.dumps(answer).encode() + b"\n")
             writer.close()
             self._open.discard(task)
 
 
-def order_restart(stack: StackFolder, service: str, *, within_seconds: float) -> None:
+def request_restart(stack: StackFolder, service: str, *, within_seconds: float) -> None:
     """Have a service started again; returns when it is ready. `LinkError` says why it is not."""
     asking = socket.socket(socket.AF_UNIX)
     asking.settimeout(within_seconds)

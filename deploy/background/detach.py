@@ -22,20 +22,20 @@ def in_background(play: Callable[[int], int]) -> int:
     Here 0 once `tell_ready(ready_fd, …)` was called, or its exit code if it ends before. Until then
     it prints to this terminal, and a signal here ends it too. No thread may have been started yet.
     """
-    told, telling = os.pipe()
+    reading, writing = os.pipe()
     sys.stdout.flush()
     # Held back until there is somebody to be told of them.
     unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
     process = os.fork()
     if process == 0:
         signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
-        os.close(told)
+        os.close(reading)
         os.setsid()
         nothing = os.open(os.devnull, os.O_RDONLY)
         os.dup2(nothing, 0)
         os.close(nothing)
-        return play(telling)
-    os.close(telling)
+        return play(writing)
+    os.close(writing)
 
     def end(number: int, frame: FrameType | None) -> None:
         with contextlib.suppress(ProcessLookupError):
@@ -44,7 +44,7 @@ def in_background(play: Callable[[int], int]) -> int:
     for number in _ENDING:
         signal.signal(number, end)
     signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
-    with os.fdopen(told, "rb") as reader:
+    with os.fdopen(reading, "rb") as reader:
         if reader.read() == _READY:
             return 0
     code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])

@@ -3,7 +3,7 @@
 RUN/stack/lock      held while the stack's supervisor lives, however it ends
 RUN/stack/state     services, their processes and how the run ended, as JSON
 RUN/stack/log       what was said, as it was printed
-RUN/stack/control   socket that takes orders
+RUN/stack/control   socket that takes requests
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from shared.wbc.contacts import ContactMode
 
 _BARS = "▁▂▃▄▅▆▇█"
 # What the lowest and the highest bar stand for, by powers of ten in between [ms].
-_LEAST_MS, _MOST_MS = 1.0, 1000.0
+_LEAST_MS, _MAX_MS = 1.0, 1000.0
 # How many of them are shown.
 _LONGEST, _SHORTEST = 40, 8
 _FEET = {
@@ -117,7 +117,7 @@ class Status:
 
 def sparkline(delays_ms: Iterable[float]) -> str:
     """A bar per delay, from 1 ms to 1 s by powers of ten; so that runs can be compared."""
-    decades = math.log10(_MOST_MS / _LEAST_MS)
+    decades = math.log10(_MAX_MS / _LEAST_MS)
     bars = ""
     for delay in delays_ms:
         part = math.log10(max(delay, _LEAST_MS) / _LEAST_MS) / decades

@@ -110,7 +110,7 @@ class Terminal:
             self._copy.add(text)
 
 
-def said(line: str) -> tuple[str, str] | None:
+def service_line(line: str) -> tuple[str, str] | None:
     """Who said a line of a copy, and what; None for a line of nobody in particular."""
     match = _SAID.fullmatch(line)
     return None if match is None else (match[1], match[2])

@@ -51,13 +51,13 @@ def main() -> int:
         time.sleep(_PERIOD_SECONDS)
     terminal.clear()
     hub.close()
-    told = status.events.in_words()
-    if told:
-        print(told, flush=True)
+    words = status.events.in_words()
+    if words:
+        print(words, flush=True)
     if arguments.out is not None:
         result = summarise(arguments.out, config)
-        told = summary_in_words(result) if result else "no summary: the robot left no report"
-        print(told, flush=True)
+        words = summary_in_words(result) if result else "no summary: the robot left no report"
+        print(words, flush=True)
     return EXIT_STANDING
 
 

@@ -36,8 +36,8 @@ class Claim:
     because: str = ""
 
     def __str__(self) -> str:
-        said = {True: "holds", False: "does not hold", None: "not played"}[self.holds]
-        return f"**{said}** — {'; '.join(filter(None, (self.sentence, self.because)))}"
+        words = {True: "holds", False: "does not hold", None: "not played"}[self.holds]
+        return f"**{words}** — {'; '.join(filter(None, (self.sentence, self.because)))}"
 
 
 def claims(results: Results) -> list[Claim]:
@@ -69,8 +69,8 @@ def no_worse_at_every_delay(results: Results, table: DelayTable, metric: str) ->
     if not compared:
         return Claim(sentence, None)
     worse = [delay for delay, (la, pr) in compared.items() if not no_worse(la, pr, metric)]
-    told = [f"{delay} ms {_pair(la, pr, metric)}" for delay, (la, pr) in compared.items()]
-    because = f"LA / PR over the seeds in which both stood: {', '.join(told)}"
+    text = [f"{delay} ms {_pair(la, pr, metric)}" for delay, (la, pr) in compared.items()]
+    because = f"LA / PR over the seeds in which both stood: {', '.join(text)}"
     if worse:
         because = f"not at {', '.join(map(str, worse))} ms; {because}"
     return Claim(sentence, not worse, because)
@@ -96,8 +96,8 @@ def remote_falls(results: Results, table: DelayTable) -> Claim:
     pr = {delay: found[delay]["pr"] for delay in falls if found[delay]["pr"].played}
     if not pr:
         return Claim(sentence, None)
-    told = ", ".join(f"{outcome.stood}/{outcome.played} at {d} ms" for d, outcome in pr.items())
-    return Claim(sentence, not any(outcome.stood for outcome in pr.values()), f"stood {told}")
+    text = ", ".join(f"{outcome.stood}/{outcome.played} at {d} ms" for d, outcome in pr.items())
+    return Claim(sentence, not any(outcome.stood for outcome in pr.values()), f"stood {text}")
 
 
 def success(results: Results, scenario: str, task: str) -> Claim:

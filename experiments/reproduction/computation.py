@@ -20,8 +20,8 @@ def computation_tables(results: Results) -> list[Table]:
         return []
     lines = []
     for clock, factor in _clocks(times).items():
-        for which, said in _IN_WORDS.items():
-            line = [clock, said]
+        for which, words in _IN_WORDS.items():
+            line = [clock, words]
             for kind in _KINDS:
                 ours, paper = _ms(times, which, kind, factor), _paper(clock, which, kind)
                 judged = _verdict(times, clock, which, kind)
@@ -57,8 +57,8 @@ def local_is_cheaper(results: Results) -> tuple[bool | None, str]:
     if times is None:
         return None, ""
     pairs = {kind: [_ms(times, which, kind, 1.0) for which in _NAMES] for kind in _KINDS}
-    told = [f"{kind} {local:.2f} of {qp:.2f} ms" for kind, (qp, local) in pairs.items()]
-    return all(local < qp for qp, local in pairs.values()), ", ".join(told)
+    text = [f"{kind} {local:.2f} of {qp:.2f} ms" for kind, (qp, local) in pairs.items()]
+    return all(local < qp for qp, local in pairs.values()), ", ".join(text)
 
 
 def _clocks(times: ComputeTimes) -> dict[str, float]:

@@ -32,8 +32,8 @@ _ByName = dict[str, Outcome]
 class DelayTable:
     """Where one of the two tables, on one plant, comes from.
 
-    `label` is the column of its rows that says the delay, `said` how. The full QP without delay is
-    that of the study `reference`, or LA's own row at 0 ms.
+    `label` is the column of its rows that says the delay, `delay_format` how. The full QP without
+    delay is that of the study `reference`, or LA's own row at 0 ms.
     """
 
     title: str
@@ -42,7 +42,7 @@ class DelayTable:
     study: str
     tolerance: str
     label: str = "link.network"
-    said: str = "constant:{}ms"
+    delay_format: str = "constant:{}ms"
     reference: str | None = "reference"
 
 
@@ -62,11 +62,13 @@ TABLE_III = DelayTable(
 
 def outcomes(rows: Sequence[Row], table: DelayTable) -> dict[int, _ByName]:
     """Outcomes of each controller by round trip [ms]."""
-    before, after = table.said.split("{}")
+    before, after = table.delay_format.split("{}")
     delays = {int(row[table.label].removeprefix(before).removesuffix(after)) for row in rows}
     return {
         delay: {
-            name: Outcome.of(rows, controller=name, **{table.label: table.said.format(delay)})
+            name: Outcome.of(
+                rows, controller=name, **{table.label: table.delay_format.format(delay)}
+            )
             for name in CONTROLLERS
         }
         for delay in sorted(delays)
@@ -153,8 +155,8 @@ def _stood(table: DelayTable, delay: int, by_name: _ByName, full_qp: Outcome) ->
     words = [f"{delay} ms"]
     for name in ("pr", "la"):
         error = _paper(table, COM_ERROR, delay, name)
-        said = NONE if error is None else "fell" if error == float("inf") else "stood"
-        words += [stood_in_words(by_name[name]), said]
+        text = NONE if error is None else "fell" if error == float("inf") else "stood"
+        words += [stood_in_words(by_name[name]), text]
     return [*words, stood_in_words(by_name["lc"]), stood_in_words(full_qp)]
 
 
@@ -162,9 +164,9 @@ def _beside_the_paper(
     table: DelayTable, delay: int, by_name: _ByName, name: str, metric: str
 ) -> list[str]:
     paper = _paper(table, metric, delay, name)
-    said = NONE if paper is None else FELL if paper == float("inf") else f"{paper:.2f}"
+    text = NONE if paper is None else FELL if paper == float("inf") else f"{paper:.2f}"
     judged = _verdict(table, delay, by_name, name, metric)
-    return [error_in_words(by_name[name], metric), said, judged.value]
+    return [error_in_words(by_name[name], metric), text, judged.value]
 
 
 def _verdict(table: DelayTable, delay: int, by_name: _ByName, name: str, metric: str) -> Verdict:
@@ -193,15 +195,15 @@ def _tolerance_line(results: Results, table: DelayTable, name: str) -> list[str]
     found = median_interval(values)
     highest = {limit.standing for limit in results.limits(table.tolerance) if limit.falling is None}
 
-    def said(value: float) -> str:
+    def text(value: float) -> str:
         return f"{'≥ ' if value in highest else ''}{value:g}"
 
-    interval = f"{said(found.low)} … {said(found.high)} ({100 * found.coverage:.0f} %)"
-    words = [table.title, name.upper(), str(len(values)), said(found.median), interval]
+    interval = f"{text(found.low)} … {text(found.high)} ({100 * found.coverage:.0f} %)"
+    words = [table.title, name.upper(), str(len(values)), text(found.median), interval]
     if name == "lc":
-        return [*words, said(values[0]), NONE, Verdict.UNKNOWN.value]
+        return [*words, text(values[0]), NONE, Verdict.UNKNOWN.value]
     paper = paper_tolerance(table, name)
     pr, la = (tolerances(results, table, each) for each in ("pr", "la"))
     ordered = bool(pr and la) and median_interval(la).median >= median_interval(pr).median
     judged = verdict(found.median >= paper, ordered)
-    return [*words, said(values[0]), str(paper), judged.value]
+    return [*words, text(values[0]), str(paper), judged.value]

@@ -93,9 +93,9 @@ def _la(la: Sequence[AtCardinality], task: str, cardinality: int) -> list[str]:
     words = [_ticks(la, cardinality)]
     for metric in METRICS:
         paper = published()["table6"][task][metric]
-        said = f"{paper[cardinality]:.2f}" if cardinality < len(paper) else NONE
+        text = f"{paper[cardinality]:.2f}" if cardinality < len(paper) else NONE
         judged = _verdict(la, task, metric, cardinality)
-        words += [number(_error(la, cardinality, metric)), said, judged.value]
+        words += [number(_error(la, cardinality, metric)), text, judged.value]
     return words
 
 

@@ -65,14 +65,14 @@ def _lines(results: Results, scenario: str, task: str) -> list[list[str]]:
     full_qp = Outcome.of(results.rows("reference"), task=task)
     lines = [[scenario, task, "success"]]
     for name in ("pr", "la"):
-        said, judged = _success(found, scenario, task, name)
-        lines[0] += [rate_in_words(found[name]), said, judged.value]
+        text, judged = _success(found, scenario, task, name)
+        lines[0] += [rate_in_words(found[name]), text, judged.value]
     lines[0] += [rate_in_words(found["lc"]), rate_in_words(full_qp)]
     for metric in METRICS:
         line = [scenario, task, METRIC_IN_WORDS[metric]]
         for name in ("pr", "la"):
-            said, judged = _error(found, scenario, task, name, metric)
-            line += [error_in_words(found[name], metric, some=False), said, judged.value]
+            text, judged = _error(found, scenario, task, name, metric)
+            line += [error_in_words(found[name], metric, some=False), text, judged.value]
         line += [error_in_words(outcome, metric, some=False) for outcome in (found["lc"], full_qp)]
         lines.append(line)
     return lines
@@ -120,5 +120,5 @@ def _profiles(results: Results) -> str:
         source: len({row["seed"] for row in results.rows(name)})
         for name, source in ((SHIPPED, "shipped ns-3"), (GENERATED, "generated"))
     }
-    said = " and ".join(f"{count} {source}" for source, count in counts.items() if count)
-    return f"{said} profiles of each scenario"
+    text = " and ".join(f"{count} {source}" for source, count in counts.items() if count)
+    return f"{text} profiles of each scenario"

@@ -50,8 +50,8 @@ def error_in_words(outcome: Outcome, metric: str, *, some: bool = True) -> str:
         return NONE
     if not outcome.stood:
         return FELL
-    told = some and outcome.stood < outcome.played
-    of = f" ({outcome.stood}/{outcome.played} stood)" if told else ""
+    partial = some and outcome.stood < outcome.played
+    of = f" ({outcome.stood}/{outcome.played} stood)" if partial else ""
     return number(outcome.error(metric)) + of
 
 

@@ -59,9 +59,9 @@ def _studies(results: Results, abouts: Mapping[str, About]) -> Table:
     return Table("What was played", columns, lines)
 
 
-def _each(abouts: Mapping[str, About], said: Callable[[About], str]) -> str:
+def _each(abouts: Mapping[str, About], describe: Callable[[About], str]) -> str:
     """What is said of the studies, each different thing once."""
-    return "; ".join(dict.fromkeys(said(about) for about in abouts.values()))
+    return "; ".join(dict.fromkeys(describe(about) for about in abouts.values()))
 
 
 def _machine(about: About) -> str:

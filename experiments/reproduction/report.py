@@ -110,15 +110,15 @@ def _missing(results: Results) -> list[str]:
     ]
     short = [name for name in STUDIES if results.shortened(name)]
     short += ["table5"] * bool((results.compute_times_file or {}).get("quick"))
-    said = []
+    notes = []
     if absent:
-        said.append(
+        notes.append(
             f"> **Incomplete.** Not there: {', '.join(absent)}. `python -m experiments run all"
             f"{' --quick' * bool(short)} --out {results.folder}` goes on with it."
         )
     if short:
-        said.append(f"> **Quick.** With `--quick`, on few seeds: {', '.join(short)}.")
-    return said
+        notes.append(f"> **Quick.** With `--quick`, on few seeds: {', '.join(short)}.")
+    return notes
 
 
 def _summary(results: Results) -> Table:

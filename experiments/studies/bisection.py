@@ -51,8 +51,8 @@ def limits(study: Study, rows: Sequence[dict[str, Any]]) -> list[Limit]:
     if study.bisection is None:
         raise ConfigError(f"study {study.name}: expected one with [bisect], got one without limits")
     found = [
-        Limit(study.cells[course.cell].shown, course.seed, *(course.bracket or (None, None)))
-        for course, _ in study.courses_of(rows)
+        Limit(study.cells[sequence.cell].shown, sequence.seed, *(sequence.bracket or (None, None)))
+        for sequence, _ in study.sequences_of(rows)
     ]
     by_cell = [cell.shown for cell in study.cells]
     return sorted(found, key=lambda limit: by_cell.index(limit.label))
@@ -94,17 +94,17 @@ def limits_in_words(study: Study, found: Sequence[Limit], rows: Sequence[dict[st
             lines.append([*named, "0", *"----"])
             continue
         middle = median_interval(values)
-        low, median, top, least, most = (
+        low, median, top, least, max_trials = (
             f"{'≥ ' * (value == high)}{value:g}"
             for value in (middle.low, middle.median, middle.high, min(values), max(values))
         )
         interval = f"{low} … {top} ({100 * middle.coverage:.1f} %)"
-        lines.append([*named, str(len(values)), median, interval, least, most])
-    told = (
+        lines.append([*named, str(len(values)), median, interval, least, max_trials])
+    text = (
         f"the largest n that stood, {of.setting} = {value_in_words(of.values[of.setting])}, n from "
         f"{of.low} to {of.high}, to within {of.resolution}"
     )
-    return "\n".join([told, *aligned(lines), *errors_in_words(rows)])
+    return "\n".join([text, *aligned(lines), *errors_in_words(rows)])
 
 
 def _coverage(k: int, n: int) -> float:

@@ -46,13 +46,13 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Difference:
-    """A row of the table that is not what playing its trial gives; `said` tells why.
+    """A row of the table that is not what playing its trial gives; `text` tells why.
 
     `rounding`: no more than another rounding explains.
     """
 
     number: int
-    said: str
+    text: str
     rounding: bool = False
 
 
@@ -100,7 +100,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     for difference in sorted(different, key=lambda each: each.number):
         label = named(study, rows[difference.number])
         how = "differs by rounding" if difference.rounding else "differs"
-        print(f"row {difference.number} ({label}) {how}: {difference.said}")
+        print(f"row {difference.number} ({label}) {how}: {difference.text}")
     rounded = sum(each.rounding for each in different)
     wrong = len(different) - rounded
     print(
@@ -134,8 +134,8 @@ def matched(study: Study, rows: Sequence[Row]) -> tuple[dict[int, Trial], list[D
     """
     trials = {
         number: trial
-        for course, numbers in study.courses_of(rows)
-        for number, trial in zip(numbers, course.played, strict=True)
+        for sequence, numbers in study.sequences_of(rows)
+        for number, trial in zip(numbers, sequence.played, strict=True)
     }
     unknown = "the study has no such trial"
     if study.bisection is not None:
@@ -162,8 +162,8 @@ def replayed(
             again, number = row_of(trial, record, study.columns), number_of[id(trial)]
             if names := changed(rows[number], again):
                 more = names if exact else beyond(rows[number], again, names)
-                said = difference(rows[number], again, more or names)
-                different.append(Difference(number, said, rounding=not more))
+                text = difference(rows[number], again, more or names)
+                different.append(Difference(number, text, rounding=not more))
             progress.finished(fell=bool(again["fell"]), left=left)
     return different
 

@@ -61,11 +61,11 @@ class Progress:
         if not self._terminal:
             print(f"trials {text}", file=sys.stderr, flush=True)
             return
-        least, most = _BAR
+        min_width, max_width = _BAR
         columns = os.get_terminal_size(sys.stderr.fileno()).columns or _COLUMNS
-        width = min(columns - len(text) - 4, most)
+        width = min(columns - len(text) - 4, max_width)
         bar = ""
-        if width >= least:
+        if width >= min_width:
             full = width * self._done // total
             bar = f"▕{'█' * full}{' ' * (width - full)}▏ "
         print(f"\r\x1b[K{bar}{text}", end="", file=sys.stderr, flush=True)

@@ -14,9 +14,9 @@ import numpy as np
 from experiments.studies.trial_sequence import (
     Bisection,
     Bracket,
-    Course,
     Outcome,
     Trial,
+    TrialSequence,
     outcome_of,
 )
 from netem.networks import CAPACITY, GENERATED, load_profile, shipped_names
@@ -64,23 +64,25 @@ class Study:
 
         Of a bisection, those that it begins with.
         """
-        return [course.next for course in self.courses() if course.next is not None]
+        return [sequence.next for sequence in self.sequences() if sequence.next is not None]
 
-    def most_left(self, courses: Iterable[Course]) -> int:
-        """So many trials, at most, are left of these courses."""
-        most = 1 if self.bisection is None else self.bisection.most
-        return sum(most - len(course.played) for course in courses if course.next is not None)
+    def max_left(self, sequences: Iterable[TrialSequence]) -> int:
+        """So many trials, at most, are left of these sequences."""
+        max_trials = 1 if self.bisection is None else self.bisection.max_trials
+        return sum(
+            max_trials - len(sequence.played) for sequence in sequences if sequence.next is not None
+        )
 
-    def courses(self) -> list[Course]:
-        """A course for every cell and seed, at its beginning, in the order of `trials`."""
+    def sequences(self) -> list[TrialSequence]:
+        """A sequence for every cell and seed, at its beginning, in the order of `trials`."""
         return [
-            Course(index, seed, self._course(index, seed))
+            TrialSequence(index, seed, self._sequence(index, seed))
             for seed in range(self.seeds)
             for index in range(len(self.cells))
         ]
 
-    def courses_of(self, rows: Sequence[dict[str, Any]]) -> list[tuple[Course, list[int]]]:
-        """Every course as far as rows of a table go, and which rows, one per trial played."""
+    def sequences_of(self, rows: Sequence[dict[str, Any]]) -> list[tuple[TrialSequence, list[int]]]:
+        """Every sequence as far as rows of a table go, and which rows, one per trial played."""
         numbers = {self._place(row): number for number, row in enumerate(rows)}
 
         def outcome(trial: Trial) -> Outcome | None:
@@ -88,10 +90,10 @@ class Study:
             return None if number is None else outcome_of(rows[number]["error"], rows[number])
 
         followed = []
-        for course in self.courses():
-            course.follow(outcome)
-            at = [numbers[self._place(trial.label)] for trial in course.played]
-            followed.append((course, at))
+        for sequence in self.sequences():
+            sequence.follow(outcome)
+            at = [numbers[self._place(trial.label)] for trial in sequence.played]
+            followed.append((sequence, at))
         return followed
 
     def only(self, names: Iterable[str]) -> set[int]:
@@ -111,7 +113,7 @@ class Study:
         values = (label.get(name) for name in names)
         return tuple(tuple(value) if isinstance(value, list) else value for value in values)
 
-    def _course(self, index: int, seed: int) -> Generator[Trial, bool, Bracket | None]:
+    def _sequence(self, index: int, seed: int) -> Generator[Trial, bool, Bracket | None]:
         if self.bisection is None:
             yield self._trial(index, seed, {})
             return None

@@ -29,7 +29,7 @@ from experiments.studies.journal import Record, open_journal
 from experiments.studies.progress import Progress
 from experiments.studies.study import Study
 from experiments.studies.study_file import read_study
-from experiments.studies.trial_sequence import Course, Outcome, Trial, outcome_of
+from experiments.studies.trial_sequence import Outcome, Trial, TrialSequence, outcome_of
 from experiments.studies.trial_table import row_of, table_in_words, write_trials
 from experiments.studies.workers import EXAMPLE, Players, players
 from shared.errors import ConfigError
@@ -114,18 +114,18 @@ def sweep(
         with open_journal(out / "trials.jsonl") as journal:
             (out / "study.toml").write_text(study_text, encoding="utf-8")
             records = journal.usable(keep_code=keep_code)
-            courses = _followed(study, records)
+            sequences = _followed(study, records)
             of_study = _identities(_followed(study, journal.usable(keep_code=True)))
-            if said := journal.left_out(of_study, keep_code=keep_code):
-                print(said, file=sys.stderr)
+            if text := journal.left_out(of_study, keep_code=keep_code):
+                print(text, file=sys.stderr)
             missing = [
-                course
-                for course in courses
-                if course.next is not None and (not only or course.cell in chosen)
+                sequence
+                for sequence in sequences
+                if sequence.next is not None and (not only or sequence.cell in chosen)
             ]
-            kept = [records[trial.identity] for course in courses for trial in course.played]
+            kept = [records[trial.identity] for sequence in sequences for trial in sequence.played]
             falls = sum(record["summary"]["fell"] for record in kept)
-            progress = Progress(done=len(kept), falls=falls, left=study.most_left(missing))
+            progress = Progress(done=len(kept), falls=falls, left=study.max_left(missing))
             if missing:
                 with contextlib.closing(progress), players(workers, scheduler) as team:
                     workers = team.number
@@ -133,13 +133,13 @@ def sweep(
                         journal.add(trial, record)
                         row_of(trial, record, study.columns)  # an unknown column ends it here
                         fell = record["error"] is None and record["summary"]["fell"]
-                        progress.finished(fell=fell, left=study.most_left(missing))
+                        progress.finished(fell=fell, left=study.max_left(missing))
             played_by = {"workers": workers, "scheduler": scheduler}
             about = about_now(study) | progress.about() | played_by
         played = [
             (trial, records[trial.identity])
-            for course in sorted(courses, key=lambda course: course.cell)
-            for trial in course.played
+            for sequence in sorted(sequences, key=lambda sequence: sequence.cell)
+            for trial in sequence.played
         ]
         rows = [row_of(trial, record, study.columns) for trial, record in played]
         write_trials(rows, out)
@@ -157,12 +157,12 @@ def sweep(
     return rows
 
 
-def _followed(study: Study, records: Mapping[str, Record]) -> list[Course]:
-    """Every course of a study as far as its trials have been played."""
-    courses = study.courses()
-    for course in courses:
-        course.follow(_outcome_in(records))
-    return courses
+def _followed(study: Study, records: Mapping[str, Record]) -> list[TrialSequence]:
+    """Every sequence of a study as far as its trials have been played."""
+    sequences = study.sequences()
+    for sequence in sequences:
+        sequence.follow(_outcome_in(records))
+    return sequences
 
 
 def _outcome_in(records: Mapping[str, Record]) -> Callable[[Trial], Outcome | None]:
@@ -173,29 +173,29 @@ def _outcome_in(records: Mapping[str, Record]) -> Callable[[Trial], Outcome | No
     return outcome
 
 
-def _identities(courses: Sequence[Course]) -> set[str]:
+def _identities(sequences: Sequence[TrialSequence]) -> set[str]:
     """Those of the trials played, and of those to be played next."""
-    known = {trial.identity for course in courses for trial in course.played}
-    return known | {course.next.identity for course in courses if course.next is not None}
+    known = {trial.identity for sequence in sequences for trial in sequence.played}
+    return known | {sequence.next.identity for sequence in sequences if sequence.next is not None}
 
 
 def _playing(
-    courses: Sequence[Course], records: dict[str, Record], team: Players
+    sequences: Sequence[TrialSequence], records: dict[str, Record], team: Players
 ) -> Iterator[tuple[Trial, Record]]:
-    """Take courses to their ends: their trials and records, added to `records`, as they finish."""
-    going = {(course.cell, course.seed): course for course in courses}
-    for course in courses:
-        assert course.next is not None
-        team.submit(course.next)
+    """Take sequences to their ends; give each trial and its record, which `records` takes too."""
+    going = {(sequence.cell, sequence.seed): sequence for sequence in sequences}
+    for sequence in sequences:
+        assert sequence.next is not None
+        team.submit(sequence.next)
     while going:
         trial, record = team.finished()
         records[trial.identity] = record
-        course = going[trial.cell, trial.config.seed]
-        course.follow(_outcome_in(records))
-        if course.next is None:
-            del going[course.cell, course.seed]
+        sequence = going[trial.cell, trial.config.seed]
+        sequence.follow(_outcome_in(records))
+        if sequence.next is None:
+            del going[sequence.cell, sequence.seed]
         else:
-            team.submit(course.next)
+            team.submit(sequence.next)
         yield trial, record
 
 

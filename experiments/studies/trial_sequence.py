@@ -51,7 +51,7 @@ class Bisection:
         return next(iter(self.values))
 
     @property
-    def most(self) -> int:
+    def max_trials(self) -> int:
         """So many trials at most."""
         trials, apart = 1, self.high - self.low
         while apart > self.resolution:
@@ -76,7 +76,7 @@ class Bisection:
         return standing, falling
 
 
-class Course:
+class TrialSequence:
     """What is played for a cell and a seed: the trials so far, and the next, None at the end.
 
     `bracket` is what a bisection came to, None before its end and where a trial ended in an error.

@@ -90,8 +90,8 @@ def play(config: RunConfig, all_active_sets: bool) -> Record:
         summary = {key: value for key, value in result.summary.items() if key != "versions"}
     except Exception as exception:
         at = traceback.extract_tb(exception.__traceback__)[-1]
-        said = " ".join(str(exception).split())
-        error = f"{type(exception).__name__}: {said} ({Path(at.filename).name}:{at.lineno})"
+        text = " ".join(str(exception).split())
+        error = f"{type(exception).__name__}: {text} ({Path(at.filename).name}:{at.lineno})"
     return {"summary": summary, "error": error, "wall_seconds": time.perf_counter() - started}
 
 

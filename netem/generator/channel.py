@@ -95,7 +95,7 @@ SCENARIOS = {scenario.name: scenario for scenario in (FACTORY, BUILDING)}
 
 
 @dataclass(frozen=True)
-class Channel:
+class RadioChannel:
     """A run of the channel, a value per millisecond: arrays (n,).
 
     `distance` in space [m], `n_block` how many blockers cut the line.
@@ -107,7 +107,7 @@ class Channel:
     blockers: Blockers
 
 
-def draw_channel(scenario: Scenario, rng: np.random.Generator, milliseconds: int) -> Channel:
+def draw_channel(scenario: Scenario, rng: np.random.Generator, milliseconds: int) -> RadioChannel:
     """A channel of so many milliseconds: drawn are the places of robot and blockers, and fading."""
     blockers = _draw_blockers(scenario, rng)
     start, heading = rng.uniform(*scenario.distance), rng.uniform(0.0, 2.0 * np.pi)
@@ -137,7 +137,7 @@ def draw_channel(scenario: Scenario, rng: np.random.Generator, milliseconds: int
     loss += _shadow_fading_db(scenario, rng, clear)
     gain = _gain_db(scenario, rng, clear)
     snr_db = scenario.transmit_dbm - loss + gain - NOISE_DBM
-    return Channel(distance, n_block, snr_db, blockers)
+    return RadioChannel(distance, n_block, snr_db, blockers)
 
 
 def path_loss_db(

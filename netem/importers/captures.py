@@ -70,8 +70,8 @@ def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measur
         if flows:
             ways[direction], unfinished = _way(sender, partners, flows, receiver[-1].time_ns)
             notes += unfinished_note(unfinished)
-    told = {DIRECTIONS[way]: _told(directions, way) for way in (UPLINK, DOWNLINK)}
-    return Measured((ways[0], ways[1]), tuple(notes), {"flows": told}, two_clocks=True)
+    described = {DIRECTIONS[way]: _in_words(directions, way) for way in (UPLINK, DOWNLINK)}
+    return Measured((ways[0], ways[1]), tuple(notes), {"flows": described}, two_clocks=True)
 
 
 def _read(path: Path) -> list[Packet]:
@@ -169,7 +169,7 @@ def _way(
     return without_unfinished(way, end_ns)
 
 
-def _told(directions: dict[_Flow, int], way: int) -> list[str]:
+def _in_words(directions: dict[_Flow, int], way: int) -> list[str]:
     """The first flows of a way, as `10.0.0.1 > 10.0.0.2`."""
     flows = [flow for flow, direction in directions.items() if direction == way]
     return [" > ".join(str(ipaddress.ip_address(end)) for end in flow) for flow in flows[:8]]

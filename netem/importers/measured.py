@@ -122,18 +122,18 @@ def with_one_clock(measured: Measured, *, clock: str | None, name: str) -> Measu
             "delays of both ways are equal"
         )
         return replace(measured, ways=ways, notes=(*measured.notes, note))
-    told = []
+    text = []
     for direction, shortest in zip(DIRECTIONS, least, strict=True):
         if shortest is None:
             continue
-        told.append(f"{direction} {shortest * 1e-6:.3f} ms")
+        text.append(f"{direction} {shortest * 1e-6:.3f} ms")
         if shortest < 0:
             raise ProfileError(
                 f"{name}: negative {direction} delays, down to {shortest * 1e-6:.3f} ms: the "
                 "clocks of the two ends differ; expected synchronised clocks, or --clock offset "
                 "(both ways measured: equal shortest delays) or --clock half (round trips)"
             )
-    note = f"one-way delays as the clocks of the two ends tell them, shortest {', '.join(told)}"
+    note = f"one-way delays as the clocks of the two ends tell them, shortest {', '.join(text)}"
     return replace(measured, notes=(*measured.notes, note))
 
 

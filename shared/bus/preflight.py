@@ -23,7 +23,7 @@ _SAME_EDGE = (
 )
 
 
-def knock(endpoint: str, credentials: Credentials | None) -> str:
+def preflight(endpoint: str, credentials: Credentials | None) -> str:
     """How far a connection to `endpoint` comes; `LinkError` if waiting cannot help, because one
     end refuses the other's certificate.
     """

@@ -21,7 +21,7 @@ import zenoh
 
 from shared.bus.base import Delivery, Envelope, new_session
 from shared.bus.endpoint import parse_endpoint
-from shared.bus.preflight import knock
+from shared.bus.preflight import preflight
 from shared.bus.security import Credentials
 from shared.errors import LinkError
 
@@ -117,7 +117,7 @@ class ZenohBus:
         """
         deadline = time.monotonic() + within
         while True:
-            found = knock(endpoint, credentials)
+            found = preflight(endpoint, credentials)
             left = deadline - time.monotonic()
             if stopping():
                 raise KeyboardInterrupt

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from shared.motion.digest import motion_digest
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
-from shared.wbc.reference import Reference
+from shared.wbc.reference import Reference, motion_digest
 
 
 class Standing:

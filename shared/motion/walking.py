@@ -17,7 +17,6 @@ import pinocchio as pin
 from shared.config.settings import WalkConfig
 from shared.motion.com_plan import GRAVITY, ComPlan, ZmpSegment, dcm_plan
 from shared.motion.cross_fade import CrossFade
-from shared.motion.digest import motion_digest
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import Step, plan_footsteps
 from shared.motion.mpc_plan import SupportPhase, mpc_plan
@@ -25,7 +24,7 @@ from shared.motion.standing import Standing
 from shared.motion.swing import quintic, swing
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
-from shared.wbc.reference import Motion, Reference
+from shared.wbc.reference import Motion, Reference, motion_digest
 
 # Time in which the ZMP goes from the last support foot to between the feet [s].
 _SETTLE = 0.4

@@ -209,8 +209,8 @@ def summary_in_words(summary: dict[str, Any]) -> str:
         ]
     )
     slid = f"foot slip at most {_number(slip['max'], 'mm')} in a stance"
-    if told := [*([] if summary["fell"] else [slid]), *differs]:
-        lines.append(f"  {'; '.join(told)}")
+    if facts := [*([] if summary["fell"] else [slid]), *differs]:
+        lines.append(f"  {'; '.join(facts)}")
     if summary["task"] == "walk":
         # A robot that corrects has no use for a fresh projector at a switch.
         waited = (

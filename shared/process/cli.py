@@ -33,7 +33,7 @@ class Parser(argparse.ArgumentParser):
 
 
 @dataclass(frozen=True)
-class Command:
+class Subcommand:
     """A subcommand: its name, what it does in a line, its options, and what runs it."""
 
     name: str
@@ -42,7 +42,7 @@ class Command:
     run: Callable[[argparse.Namespace], int]
 
 
-def run_command(prog: str, description: str | None, commands: Sequence[Command]) -> int:
+def run_command(prog: str, description: str | None, commands: Sequence[Subcommand]) -> int:
     """Parse the command line of a program of several commands and run the one that it names."""
     parser = Parser(prog=prog, description=description)
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")

@@ -48,14 +48,14 @@ def quantiles(values: np.ndarray, *, digits: int = 4) -> dict[str, float | None]
 def stance_slips(schema: Schema, rows: np.ndarray) -> np.ndarray:
     """How far a loaded foot slid from where it was set down [m], the most of each stance."""
     slips = schema.column(rows, "foot_slip_m")
-    most = []
+    maxima = []
     for foot in slips.T:
         loaded = np.isfinite(foot)
         edges = np.flatnonzero(np.diff(loaded.astype(int))) + 1
         for stance in np.split(foot, edges):
             if len(stance) and np.isfinite(stance[0]):
-                most.append(stance.max())
-    return np.array(most)
+                maxima.append(stance.max())
+    return np.array(maxima)
 
 
 def switch_to_fresh_ms(schema: Schema, rows: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -59,6 +60,15 @@ class Motion(Protocol):
     def stopped(self, time_ns: int) -> Motion:
         """The same motion until `time_ns`, from then on to a stand as soon as it can be."""
         ...
+
+
+def motion_digest(*parts: np.ndarray) -> bytes:
+    """Eight bytes of positions and times, to a tenth of a millimetre or of a millisecond.
+
+    Coarser than the rounding by which two machines may differ.
+    """
+    rounded = [np.round(np.asarray(part, dtype=float) * 1e4).astype(np.int64) for part in parts]
+    return hashlib.sha256(b"".join(part.tobytes() for part in rounded)).digest()[:8]
 
 
 def coming_switches(motion: Motion, time_ns: int) -> list[int]:

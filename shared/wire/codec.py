@@ -68,7 +68,7 @@ class Codec:
             mode=int(state.mode),
             q=state.q.tobytes(),
             v=state.v.tobytes(),
-            holds=state.holds,
+            holds=state.held_sequences,
         )
 
     def decode_state(self, data: bytes) -> RobotState:
@@ -82,7 +82,7 @@ class Codec:
             mode=_mode(fields),
             q=_array(fields, "q", (self._nq,)),
             v=_array(fields, "v", (self._nv,)),
-            holds=_holds(fields),
+            held_sequences=_holds(fields),
         )
 
     def encode_projector(self, message: ProjectorMessage) -> bytes:
@@ -270,14 +270,14 @@ def _unpacked(triangle: np.ndarray, n: int) -> np.ndarray:
 
 
 def _holds(fields: dict[str, Any]) -> tuple[int, ...] | None:
-    holds = fields.get("holds")
-    if holds is None:
+    held_sequences = fields.get("holds")
+    if held_sequences is None:
         return None
-    if not isinstance(holds, list) or len(holds) != len(ContactMode):
+    if not isinstance(held_sequences, list) or len(held_sequences) != len(ContactMode):
         raise MessageRefused("shape", "holds")
-    if any(type(each) is not int or not -1 <= each <= _MAX_INT for each in holds):
+    if any(type(each) is not int or not -1 <= each <= _MAX_INT for each in held_sequences):
         raise MessageRefused("shape", "holds")
-    return tuple(holds)
+    return tuple(held_sequences)
 
 
 def _mode(fields: dict[str, Any]) -> ContactMode:

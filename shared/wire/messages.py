@@ -18,8 +18,8 @@ class RobotState:
     `session` tells one start of the robot from the next; `sequence` counts ticks within it.
     `stamp_ns` is the robot's clock at the measurement and means nothing elsewhere; `time_ns` is the
     time of the task, from which both ends derive the reference. `q` (nq,), `v` (nv,).
-    `holds`: per contact mode, the state whose factorisation the robot has, −1 for none; None for a
-    robot that wants projectors.
+    `held_sequences`: per contact mode, the state whose factorisation the robot has, −1 for none;
+    None for a robot that wants projectors.
     """
 
     session: int
@@ -29,7 +29,7 @@ class RobotState:
     mode: ContactMode
     q: np.ndarray
     v: np.ndarray
-    holds: tuple[int, ...] | None = None
+    held_sequences: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

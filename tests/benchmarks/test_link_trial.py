@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.link_trial import Trial, way_errors
+from benchmarks.link_trial import LinkTrial, way_errors
 from netem.profile import DOWNLINK, UPLINK
 from shared.telemetry.schema import LINK_SCHEMA
 
@@ -27,9 +27,9 @@ def log(rows: list[tuple[int, int, int, int]]) -> np.ndarray:
     return table
 
 
-def trial(down: np.ndarray, rows: np.ndarray | None = None) -> Trial:
+def trial(down: np.ndarray, rows: np.ndarray | None = None) -> LinkTrial:
     empty = np.zeros((0, LINK_SCHEMA.width))
-    return Trial((arrivals([]), down), empty if rows is None else rows, 0.0, "")
+    return LinkTrial((arrivals([]), down), empty if rows is None else rows, 0.0, "")
 
 
 def test_lost_early_and_swapped_messages_are_counted() -> None:

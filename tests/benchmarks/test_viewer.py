@@ -39,7 +39,7 @@ def test_the_wait_and_the_first_second_are_left_out(tmp_path: Path) -> None:
     ticks = read_ticks(telemetry(tmp_path, waiting=300, ticks=3001, overruns=overruns))
     assert ticks.p50 == pytest.approx(2.0)
     assert ticks.p99 == pytest.approx(2.98)
-    assert ticks.most == pytest.approx(3.0)
+    assert ticks.maximum == pytest.approx(3.0)
     assert ticks.late_p99 == pytest.approx(5.96)
     assert ticks.overruns == 3
 
@@ -92,7 +92,7 @@ def test_the_table_has_a_line_per_case_with_medians_spans_and_ratios(
         played.append((case.name, seconds))
         k, which = divmod(len(played) - 1, len(CASES))
         p99 = (0.4, 0.5, 0.8)[k] * (1.0, 1.1, 0.9, 1.0, 2.0)[which]
-        return Ticks(p50=0.25, p99=p99, most=1.0 + k, late_p99=0.05, overruns=k)
+        return Ticks(p50=0.25, p99=p99, maximum=1.0 + k, late_p99=0.05, overruns=k)
 
     monkeypatch.setattr(viewer, "play", made_up)
     monkeypatch.setattr(viewer, "cores_busy", lambda *, seconds: 0.25)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy.keys import make
-from shared.bus.preflight import knock
+from shared.bus.preflight import preflight
 from shared.bus.security import Credentials
 from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import LinkError
@@ -41,26 +41,26 @@ def credentials(tmp_path: Path) -> Credentials:
 
 
 def test_a_closed_port_says_to_start_the_edge(closed_port: int):
-    told = knock(f"tcp/127.0.0.1:{closed_port}", None)
-    assert told.startswith(f"tcp/127.0.0.1:{closed_port} refuses connections; start the edge")
+    message = preflight(f"tcp/127.0.0.1:{closed_port}", None)
+    assert message.startswith(f"tcp/127.0.0.1:{closed_port} refuses connections; start the edge")
 
 
 def test_an_unknown_name_is_said_to_be_unknown():
-    assert "does not know nobody.invalid" in knock("tcp/nobody.invalid:7460", None)
+    assert "does not know nobody.invalid" in preflight("tcp/nobody.invalid:7460", None)
 
 
 def test_an_open_port_asks_for_the_same_settings(listening: int):
-    assert "same --name, task, robot, wbc and walk" in knock(f"tcp/127.0.0.1:{listening}", None)
+    assert "same --name, task, robot, wbc and walk" in preflight(f"tcp/127.0.0.1:{listening}", None)
 
 
 def test_an_endpoint_that_cannot_be_knocked_at_asks_for_its_udp_port():
-    assert "UDP port 7460" in knock("udp/127.0.0.1:7460", None)
+    assert "UDP port 7460" in preflight("udp/127.0.0.1:7460", None)
 
 
 def test_a_port_without_tls_is_called_plain_and_not_given_up(
     listening: int, credentials: Credentials
 ):
-    assert "plain endpoint" in knock(f"tls/127.0.0.1:{listening}", credentials)
+    assert "plain endpoint" in preflight(f"tls/127.0.0.1:{listening}", credentials)
 
 
 def test_dialling_gives_up_in_time_and_says_what_it_found(closed_port: int):

@@ -127,7 +127,7 @@ def test_a_robot_changes_the_defaults_of_a_task_and_a_file_and_flags_those_of_th
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "output"),
     [
         ('[robot]\nname = "juliet"', "robot: expected one of romeo, talos, got 'juliet'"),
         ("[robot]\nname = [1]", "robot.name: expected str"),
@@ -135,8 +135,8 @@ def test_a_robot_changes_the_defaults_of_a_task_and_a_file_and_flags_those_of_th
         ('task = ["walk"]', "task: expected str"),
     ],
 )
-def test_a_robot_that_cannot_be_is_refused(file, text, said):
-    with pytest.raises(ConfigError, match=said):
+def test_a_robot_that_cannot_be_is_refused(file, text, output):
+    with pytest.raises(ConfigError, match=output):
         load_config(file(text))
 
 

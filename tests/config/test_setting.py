@@ -51,7 +51,7 @@ def test_the_default_is_that_of_the_field():
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "message"),
     [
         ("doors", 0, "expected a number ≥ 1, got 0"),
         ("lamp.power", -1.0, "expected a number ≥ 0 and < 20, got -1.0"),
@@ -65,10 +65,10 @@ def test_the_default_is_that_of_the_field():
         ("lamp.kind", "gas", "expected one of arc, led, got 'gas'"),
     ],
 )
-def test_a_value_that_a_setting_cannot_have_is_refused(key, value, said):
+def test_a_value_that_a_setting_cannot_have_is_refused(key, value, message):
     with pytest.raises(ConfigError) as error:
         KNOWN[key].check(key, value)
-    assert str(error.value) == f"{key}: {said}"
+    assert str(error.value) == f"{key}: {message}"
 
 
 @pytest.mark.parametrize(

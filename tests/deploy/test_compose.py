@@ -93,13 +93,13 @@ def test_each_dials_where_the_next_one_listens(compose, declared):
         assert f"tcp/{listening}:{port}" in compose["services"][dialling]["command"]
         assert f"tcp/0.0.0.0:{port}" in compose["services"][listening]["command"]
     hub = compose["services"][HUB]["command"][-1].rpartition(":")[2]
-    told = {
+    message = {
         name
         for name, container in compose["services"].items()
         if f"tcp/{HUB}:{hub}" in container["command"]
     }
     # Never over the link: the edge does not report.
-    assert told == {"netem", "viewer", "robot"}
+    assert message == {"netem", "viewer", "robot"}
 
 
 def test_the_settings_are_a_run_that_has_a_shim(compose):

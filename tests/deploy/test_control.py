@@ -87,20 +87,20 @@ def test_ps_shows_every_service_of_a_stack_that_runs(known, running, capsys):
     stack = running(named=("edge", "robot"))
     known.add(stack.run, robot="romeo", services=("edge", "robot"))
     assert control.ps(asked()) == 0
-    told = capsys.readouterr().out
-    assert "romeo, ready since" in told
-    assert "  edge          11  ready " in told
-    assert told.splitlines()[2].endswith(" 2")
-    assert "  robot          -  not started" in told
+    message = capsys.readouterr().out
+    assert "romeo, ready since" in message
+    assert "  edge          11  ready " in message
+    assert message.splitlines()[2].endswith(" 2")
+    assert "  robot          -  not started" in message
 
 
 def test_ps_and_down_say_how_a_stack_ended_by_itself(known, tmp_path, capsys):
     known.add(written(tmp_path / "run").run, robot="romeo", services=("edge", "robot"))
     assert control.ps(asked()) == 0
     assert control.down(asked()) == 3
-    told = capsys.readouterr().out
-    assert told.count("nothing is running") == 2
-    assert told.count("(exit 3): it fell") == 2
+    message = capsys.readouterr().out
+    assert message.count("nothing is running") == 2
+    assert message.count("(exit 3): it fell") == 2
 
 
 def test_ps_shows_what_has_killed_a_service(known, tmp_path, capsys):
@@ -125,9 +125,9 @@ def test_a_stack_whose_supervisor_was_killed_is_an_error(known, tmp_path, capsys
     known.add(stack.run, robot="romeo", services=("edge",))
     assert control.ps(asked()) == 0
     assert control.down(asked()) == 2
-    told = capsys.readouterr().out
-    assert "its supervisor was killed" in told
-    assert " 11  ready" not in told
+    message = capsys.readouterr().out
+    assert "its supervisor was killed" in message
+    assert " 11  ready" not in message
 
 
 def test_a_robot_has_one_stack_of_a_kind_and_others_have_their_own(known, running):

@@ -26,7 +26,7 @@ STDIN_IS_EMPTY = "return 5 if sys.stdin.read() == '' and os.getsid(0) == os.getp
 
 
 @pytest.mark.parametrize(
-    ("play", "code", "told"),
+    ("play", "code", "message"),
     [
         (READY, 0, "begun\n"),
         ("return 3", 3, "begun\n"),
@@ -38,10 +38,10 @@ STDIN_IS_EMPTY = "return 5 if sys.stdin.read() == '' and os.getsid(0) == os.getp
         ),
     ],
 )
-def test_whoever_starts_it_waits_until_it_is_ready_or_has_its_exit_code(play, code, told):
+def test_whoever_starts_it_waits_until_it_is_ready_or_has_its_exit_code(play, code, message):
     done = played(*python("-c", BEGINS.format(play)), given="typed\n")
     assert done.stderr == ""
-    assert (done.returncode, done.stdout) == (code, told)
+    assert (done.returncode, done.stdout) == (code, message)
 
 
 def test_a_signal_until_then_ends_it_too():

@@ -131,7 +131,7 @@ def test_a_plain_edge_elsewhere_is_called_unprotected():
 
 
 @pytest.mark.parametrize(
-    ("only", "flags", "told"),
+    ("only", "flags", "message"),
     [
         ("edge,robots", {}, "expected some of edge, netem, robot, viewer, router"),
         ("", {}, "only: expected some of"),
@@ -149,8 +149,8 @@ def test_a_plain_edge_elsewhere_is_called_unprotected():
         (None, {"listen": TLS}, "robot dials"),
     ],
 )
-def test_options_that_contradict_each_other_are_refused(only, flags, told):
-    with pytest.raises(ConfigError, match=told):
+def test_options_that_contradict_each_other_are_refused(only, flags, message):
+    with pytest.raises(ConfigError, match=message):
         plan_of(only, **flags)
 
 

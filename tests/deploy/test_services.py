@@ -59,7 +59,7 @@ def test_services_start_after_those_they_wait_for_and_else_as_in_the_file(loaded
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("[one]\n", "one: expected command, here or in"),
         ('[one]\ncommand = "a"\n', "expected a list of strings, got 'a'"),
@@ -77,8 +77,8 @@ def test_services_start_after_those_they_wait_for_and_else_as_in_the_file(loaded
         ("[one\n", "not valid TOML"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_refused_with_what_was_expected(loaded, text, told):
-    with pytest.raises(ConfigError, match=told):
+def test_a_file_that_cannot_be_used_is_refused_with_what_was_expected(loaded, text, message):
+    with pytest.raises(ConfigError, match=message):
         loaded(text, defaults="" if text.startswith("one =") else DEFAULTS)
 
 

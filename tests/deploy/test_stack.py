@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from deploy.background.state import ENDED, StackFolder
-from deploy.plan import ROBOT, Plan, Step
+from deploy.plan import ROBOT, Plan, PlannedService
 from deploy.services import load_services
-from deploy.stack import Run, Stack
+from deploy.stack import Run, StackRun
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError, LinkError
 from tests.processes import PATIENCE_SECONDS
@@ -38,31 +38,31 @@ def stack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("deploy.stack.python", lambda *arguments: [sys.executable, *arguments])
     (tmp_path / "run").mkdir()
 
-    def make(module: str, *arguments: object) -> Stack:
+    def make(module: str, *arguments: object) -> StackRun:
         (tmp_path / f"{module}.py").write_text(MODULES[module].format(*arguments))
         service = dataclasses.replace(load_services()[ROBOT], takes=())
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             hub = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-        plan = Plan((Step(service, (module,)),), None, ())
-        return Stack(Run(RunConfig(), plan, tmp_path / "run", hub, None))
+        plan = Plan((PlannedService(service, (module,)),), None, ())
+        return StackRun(Run(RunConfig(), plan, tmp_path / "run", hub, None))
 
     return make
 
 
-def played(stack: Stack) -> int:
+def played(stack: StackRun) -> int:
     return asyncio.run(asyncio.wait_for(stack.run(), PATIENCE_SECONDS))
 
 
 @pytest.mark.parametrize(
-    ("module", "told"),
+    ("module", "message"),
     [
         ("is_killed", r"robot ended \(signal 9\): everything was stopped"),
         ("fails", "it said last: no answer"),
     ],
 )
-def test_a_robot_that_fails_is_an_error_with_its_reason(tmp_path, stack, module, told):
-    with pytest.raises(LinkError, match=told) as error:
+def test_a_robot_that_fails_is_an_error_with_its_reason(tmp_path, stack, module, message):
+    with pytest.raises(LinkError, match=message) as error:
         played(stack(module))
     state = StackFolder(tmp_path / "run").read()
     assert (state.state, state.exit_code, state.outcome) == (ENDED, 2, str(error.value))

@@ -32,11 +32,11 @@ class Run:
     """A supervisor, and what it said and did."""
 
     def __init__(self, folder: Path) -> None:
-        self.said: list[str] = []
+        self.output: list[str] = []
         self.restarted: list[str] = []
         self.supervisor = Supervisor(
             folder,
-            lambda name, line: self.said.append(f"{name}: {line}"),
+            lambda name, line: self.output.append(f"{name}: {line}"),
             changed=lambda: None,
             before_restart=lambda service: self.restarted.append(service.name),
         )
@@ -73,7 +73,7 @@ def test_a_service_is_ready_with_its_line_and_its_output_is_kept(tmp_path: Path)
     async def scenario(run: Run):
         await run.start("edge", "print('hello'); " + SLEEPS)
         assert run.state("edge") == READY
-        assert run.said == ["edge: hello", "edge: READY"]
+        assert run.output == ["edge: hello", "edge: READY"]
 
     played(tmp_path, scenario)
     assert (tmp_path / "edge.log").read_text() == "hello\nREADY\n"
@@ -102,7 +102,7 @@ def test_output_that_finds_no_room_on_the_disk_is_shown_all_the_same(tmp_path: P
 
     async def scenario(run: Run):
         await run.start("edge", "print('hello'); " + SLEEPS)
-        assert run.said == ["edge: hello", "edge: READY"]
+        assert run.output == ["edge: hello", "edge: READY"]
 
     played(tmp_path, scenario)
 
@@ -133,7 +133,7 @@ def test_a_service_that_fails_is_started_again_as_its_policy_says(tmp_path: Path
         assert (service.name, code) == ("edge", 4)
         assert run.restarted == ["edge", "edge"]
         assert run.supervisor.states()[0].restarts == 2
-        assert "edge: ended (exit 4): started again, 2 of 2" in run.said
+        assert "edge: ended (exit 4): started again, 2 of 2" in run.output
 
     played(tmp_path, scenario)
 
@@ -141,7 +141,7 @@ def test_a_service_that_fails_is_started_again_as_its_policy_says(tmp_path: Path
 def test_a_service_that_came_back_goes_on(tmp_path: Path):
     async def scenario(run: Run):
         await run.start("edge", FAILS_ONCE.format(tmp_path / "first"))
-        while not any("ready again" in line for line in run.said):
+        while not any("ready again" in line for line in run.output):
             await asyncio.sleep(0.01)
         assert run.state("edge") == READY
         assert run.supervisor.running("edge")
@@ -222,12 +222,12 @@ def test_a_restart_that_does_not_come_back_is_an_error_and_the_end(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("name", "told"), [("viewer", "expected one of robot"), ("robot", "run ends with robot")]
+    ("name", "message"), [("viewer", "expected one of robot"), ("robot", "run ends with robot")]
 )
-def test_what_cannot_be_started_again_says_why(tmp_path: Path, name: str, told: str):
+def test_what_cannot_be_started_again_says_why(tmp_path: Path, name: str, message: str):
     async def scenario(run: Run):
         await run.start("robot", SLEEPS)
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=message):
             await run.supervisor.restart(name)
         assert run.supervisor.running("robot")
 

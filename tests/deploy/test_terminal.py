@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy.background.state import LineFile
-from deploy.console.terminal import Terminal, said
+from deploy.console.terminal import Terminal, service_line
 
 
 @pytest.fixture
@@ -93,9 +93,9 @@ def test_a_full_disk_is_no_reason_to_end(capsys):
 
 
 def test_a_line_of_a_copy_is_known_by_who_said_it():
-    assert said(" robot | 1.00 s: a | b") == ("robot", "1.00 s: a | b")
-    assert said("Stands after 5.00 s") is None
-    assert said("  CoM error 1.2 cm") is None
+    assert service_line(" robot | 1.00 s: a | b") == ("robot", "1.00 s: a | b")
+    assert service_line("Stands after 5.00 s") is None
+    assert service_line("  CoM error 1.2 cm") is None
 
 
 def test_elsewhere_a_status_is_said_again_only_when_it_is_another(monkeypatch, capsys):

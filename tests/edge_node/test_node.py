@@ -237,7 +237,7 @@ def test_a_robot_that_corrects_is_sent_factorisations_of_its_state(
     q, v = states[1]
     at_rest = np.zeros_like(v)
     edge.receive(
-        state(17, session=99, stamp_ns=123_456_789_012, q=q, v=at_rest, holds=NOTHING_HELD)
+        state(17, session=99, stamp_ns=123_456_789_012, q=q, v=at_rest, held_sequences=NOTHING_HELD)
     )
     answer = edge.step()
     assert answer.state_sequence == 17
@@ -256,7 +256,7 @@ def test_a_robot_that_corrects_is_sent_factorisations_of_its_state(
 
 def test_a_robot_in_motion_is_sent_a_factorisation_of_where_it_soon_is(edge, codec, state, states):
     q, v = states[1]
-    edge.receive(state(0, q=q, v=v, holds=NOTHING_HELD))
+    edge.receive(state(0, q=q, v=v, held_sequences=NOTHING_HELD))
     sent = codec.decode_factorisations(edge.step().data).factorisations[0].posture - q[7:]
     distance = CorrectionConfig().refresh_distance
     assert 0.0 < np.sqrt(np.mean(sent**2)) < distance
@@ -266,30 +266,30 @@ def test_a_robot_in_motion_is_sent_a_factorisation_of_where_it_soon_is(edge, cod
 
 
 def test_a_robot_that_holds_what_it_needs_is_left_alone(edge, state):
-    edge.receive(state(0, holds=NOTHING_HELD))
+    edge.receive(state(0, held_sequences=NOTHING_HELD))
     assert edge.step() is not None
     for sequence in (1, 2, 3):
-        edge.receive(state(sequence, holds=(0, 0, 0)))
+        edge.receive(state(sequence, held_sequences=(0, 0, 0)))
         assert edge.step() is None
     assert edge.solved == {"solved": 1}
     assert not edge.refused
 
 
 def test_now_and_then_it_is_told_that_the_edge_is_there(edge, codec, state):
-    edge.receive(state(0, stamp_ns=10**9, holds=NOTHING_HELD))
+    edge.receive(state(0, stamp_ns=10**9, held_sequences=NOTHING_HELD))
     edge.step()
-    edge.receive(state(100, stamp_ns=10**9 + 100_000_000, holds=(0, 0, 0)))
+    edge.receive(state(100, stamp_ns=10**9 + 100_000_000, held_sequences=(0, 0, 0)))
     message = codec.decode_factorisations(edge.step().data)
     assert message.sequence == 100
     assert message.factorisations == ()
 
 
 def test_what_is_sent_later_has_the_modes_that_are_due_only(edge, codec, state, robot):
-    edge.receive(state(0, holds=NOTHING_HELD))
+    edge.receive(state(0, held_sequences=NOTHING_HELD))
     edge.step()
     q = robot.q_standing.copy()
     q[7:] += 1.1 * CorrectionConfig().refresh_distance
-    edge.receive(state(1, stamp_ns=361_000_000, q=q, holds=(0, 0, 0)))
+    edge.receive(state(1, stamp_ns=361_000_000, q=q, held_sequences=(0, 0, 0)))
     message = codec.decode_factorisations(edge.step().data)
     assert [each.mode for each in message.factorisations] == [ContactMode.DOUBLE_SUPPORT]
     np.testing.assert_allclose(message.factorisations[0].posture, q[7:], atol=1e-7)
@@ -298,7 +298,7 @@ def test_what_is_sent_later_has_the_modes_that_are_due_only(edge, codec, state, 
 def test_damping_is_in_what_is_sent(robot, motion, configured, stacks, model, state):
     config = configured(**{"correction.damping": 0.05})
     codec, edge = Codec(robot, config, motion), EdgeNode(robot, config, motion)
-    edge.receive(state(0, holds=NOTHING_HELD))
+    edge.receive(state(0, held_sequences=NOTHING_HELD))
     q = robot.q_standing
     for each in codec.decode_factorisations(edge.step().data).factorisations:
         matrices = stacks[each.mode].matrices(model.jacobians(q))
@@ -311,7 +311,7 @@ def test_damping_is_in_what_is_sent(robot, motion, configured, stacks, model, st
 def test_a_configuration_that_cannot_be_factorised_is_named_and_tried_again(edge, robot, state):
     q = robot.q_standing.copy()
     q[:3] = 1e200  # nothing is left of a foot's distance from there
-    edge.receive(state(0, q=q, holds=NOTHING_HELD))
+    edge.receive(state(0, q=q, held_sequences=NOTHING_HELD))
     with np.errstate(all="ignore"):
         answer = edge.step()
     assert answer.data is None
@@ -321,14 +321,14 @@ def test_a_configuration_that_cannot_be_factorised_is_named_and_tried_again(edge
     answer.record(row, wall_ns=1, solve_ns=1)
     assert row[SOLVE_SCHEMA.slices["active_set"]] == -1
     # It is not remembered as sent.
-    edge.receive(state(1, holds=NOTHING_HELD))
+    edge.receive(state(1, held_sequences=NOTHING_HELD))
     assert edge.step().data is not None
 
 
 def test_one_edge_serves_either_kind_of_robot(edge, codec, state):
-    edge.receive(state(0, holds=NOTHING_HELD))
+    edge.receive(state(0, held_sequences=NOTHING_HELD))
     codec.decode_factorisations(edge.step().data)
     edge.receive(state(1))
     codec.decode_projector(edge.step().data)
-    edge.receive(state(0, session=6, holds=NOTHING_HELD))
+    edge.receive(state(0, session=6, held_sequences=NOTHING_HELD))
     codec.decode_factorisations(edge.step().data)

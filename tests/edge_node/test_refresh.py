@@ -47,12 +47,12 @@ class Bench:
         self.refresh = FactorisationRefresh(config, motion)
         self.motion = motion
         self.q = robot.q_standing.copy()
-        self.holds = [-1, -1, -1]
+        self.held_sequences = [-1, -1, -1]
         self.session = 1
         self._robot = robot
 
     def due(self, tick):
-        return self.refresh.due(self.state(tick), tuple(self.holds), posture=self.q[7:])
+        return self.refresh.due(self.state(tick), tuple(self.held_sequences), posture=self.q[7:])
 
     def state(self, tick):
         # The robot's clock began long before.
@@ -64,7 +64,7 @@ class Bench:
             time_ns=tick * MS,
             mode=self.motion.reference(tick * MS).mode,
             q=self.q,
-            holds=tuple(self.holds),
+            held_sequences=tuple(self.held_sequences),
         )
 
     def serve(self, tick, *, arrives=True):
@@ -74,7 +74,7 @@ class Bench:
             self.refresh.sent(self.state(tick), due, posture=self.q[7:])
             if arrives:
                 for mode in due:
-                    self.holds[mode] = tick
+                    self.held_sequences[mode] = tick
         return due
 
     def modes(self, tick):
@@ -179,10 +179,10 @@ def test_it_waits_longer_than_the_last_answer_took_to_arrive(bench):
     assert served.serve(0, arrives=False) == EVERY_MODE
     assert served.serve(100, arrives=False) == EVERY_MODE
     # The first one has taken 250 ms; of the second nothing is known yet.
-    served.holds = [0, 0, 0]
+    served.held_sequences = [0, 0, 0]
     assert served.modes(250) == ()
     # It takes 260 ms.
-    served.holds = [100, 100, 100]
+    served.held_sequences = [100, 100, 100]
     assert served.modes(360) == ()
     served.move(0.2)
     assert served.serve(400, arrives=False) == (DOUBLE,)
@@ -193,7 +193,7 @@ def test_it_waits_longer_than_the_last_answer_took_to_arrive(bench):
 def test_the_modes_that_did_arrive_are_not_sent_again(bench):
     served = bench()
     served.serve(7, arrives=False)
-    served.holds[LEFT] = 7
+    served.held_sequences[LEFT] = 7
     assert served.due(20) is None
     assert served.due(107) == (DOUBLE, RIGHT)
 
@@ -203,7 +203,7 @@ def test_an_older_factorisation_does_not_stand_for_the_one_that_was_lost(bench):
     served.serve(0)
     served.move(0.2)
     assert served.serve(10, arrives=False) == (DOUBLE,)
-    assert served.holds == [0, 0, 0]
+    assert served.held_sequences == [0, 0, 0]
     assert served.due(109) is None
     assert served.due(110) == (DOUBLE,)
 
@@ -212,7 +212,7 @@ def test_a_newer_one_than_was_sent_stands_for_it(bench):
     # The robot may have computed one itself.
     served = bench()
     served.serve(0, arrives=False)
-    served.holds = [40, 40, 40]
+    served.held_sequences = [40, 40, 40]
     assert served.modes(500) == ()
 
 
@@ -319,7 +319,7 @@ def test_an_infinite_distance_means_never(bench):
 def test_a_robot_that_started_anew_is_served_from_the_beginning(bench):
     served = bench()
     served.serve(900)
-    served.session, served.holds = 2, [-1, -1, -1]
+    served.session, served.held_sequences = 2, [-1, -1, -1]
     # Its ticks count from zero again, and its clock may, too.
     assert served.serve(0) == EVERY_MODE
     assert served.due(1) is None
@@ -328,5 +328,5 @@ def test_a_robot_that_started_anew_is_served_from_the_beginning(bench):
 
 def test_an_edge_that_started_anew_sends_to_a_robot_that_holds_something(bench):
     served = bench()
-    served.holds = [4, 4, 4]
+    served.held_sequences = [4, 4, 4]
     assert served.due(900) == EVERY_MODE

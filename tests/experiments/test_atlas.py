@@ -93,7 +93,7 @@ def test_the_words_have_a_line_per_push_and_a_column_per_delay():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("--controllers", "la,mpc"), "--controllers: expected some of la, lc, pr, got 'mpc'"),
         (("--controllers", "la,la"), "--controllers: expected each value once, got 'la' twice"),
@@ -112,7 +112,9 @@ def test_the_words_have_a_line_per_push_and_a_column_per_delay():
         (("--config", "nowhere.toml"), "config: cannot read nowhere.toml"),
     ],
 )
-def test_a_value_that_cannot_be_is_refused_before_anything_is_played(arguments, said, monkeypatch):
+def test_a_value_that_cannot_be_is_refused_before_anything_is_played(
+    arguments, message, monkeypatch
+):
     monkeypatch.setattr(atlas, "sweep", lambda *_, **__: pytest.fail("played"))
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         run_atlas(parsed(*arguments))

@@ -38,7 +38,7 @@ def asked_and_found(bisection, stands):
 def rows_of(study, stands, *, error=None):
     """Rows of a sweep in which a robot stands as it is told by controller, seed and integer."""
     rows = []
-    for course in study.courses():
+    for sequence in study.sequences():
 
         def outcome(trial):
             label = trial.label
@@ -48,7 +48,7 @@ def rows_of(study, stands, *, error=None):
             rows.append({**label, "fell": fell, "error": "E: x" if key == error else None})
             return "error" if key == error else "fell" if fell else "stood"
 
-        course.follow(outcome)
+        sequence.follow(outcome)
     return rows
 
 
@@ -62,7 +62,7 @@ def test_a_monotone_robot_has_its_limit_between_standing_and_falling(low, width,
     bisection = Bisection({"x": 1}, low, low + width, min(resolution, width))
     asked, (standing, falling) = asked_and_found(bisection, lambda at: at <= limit)
     assert asked[0] == bisection.high
-    assert len(asked) == len(set(asked)) <= bisection.most
+    assert len(asked) == len(set(asked)) <= bisection.max_trials
     if limit >= bisection.high:
         assert (standing, falling) == (bisection.high, None)
     else:
@@ -74,9 +74,11 @@ def test_a_monotone_robot_has_its_limit_between_standing_and_falling(low, width,
 
 def test_so_many_trials_are_needed_at_most_and_no_fewer_in_the_worst_case():
     bisection = Bisection({"x": 1}, 0, 400, 1)
-    most = max(len(asked_and_found(bisection, lambda at, k=k: at <= k)[0]) for k in range(400))
+    max_trials = max(
+        len(asked_and_found(bisection, lambda at, k=k: at <= k)[0]) for k in range(400)
+    )
     # 400 is played first, then ⌈log₂ 400⌉ = 9 halvings.
-    assert most == bisection.most == 10
+    assert max_trials == bisection.max_trials == 10
 
 
 def test_a_robot_that_is_not_monotone_gets_one_of_the_places_where_it_falls():

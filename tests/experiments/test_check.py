@@ -82,21 +82,21 @@ def test_a_changed_cell_is_named_with_its_row_whatever_the_code(folder, capsys):
     about = json.loads((folder / "about.json").read_text())
     (folder / "about.json").write_text(json.dumps(about | {"code": "other"}))
     assert check(folder, "--sample", "4", "--seed", "1") == 1
-    said = capsys.readouterr()
-    assert f"the code is another: {folder} was played with other" in said.err
-    (line,) = (line for line in said.out.splitlines() if line.startswith("row "))
+    shown = capsys.readouterr()
+    assert f"the code is another: {folder} was played with other" in shown.err
+    (line,) = (line for line in shown.out.splitlines() if line.startswith("row "))
     assert line.startswith("row 2 (link.network=generated:factory, seed=0) differs: com_error_m is")
     assert f"active_set_discrepancy.ticks is {[ticks[0] + 1, *ticks[1:]]}, played again" in line
     assert "realtime_factor" not in line
-    assert "4 of 4 trials played again (--seed 1): rows that differ: 1" in said.out
+    assert "4 of 4 trials played again (--seed 1): rows that differ: 1" in shown.out
 
 
 def test_a_row_of_no_trial_differs_without_being_played(folder, capsys):
     spoil(folder, seed=7)
     assert check(folder, "--sample", "1", "--seed", "0") == 1
-    said = capsys.readouterr().out
-    assert "row 2 (link.network=generated:factory, seed=7) differs: the study has no such" in said
-    assert "1 of 4 trials played again" in said
+    shown = capsys.readouterr().out
+    assert "row 2 (link.network=generated:factory, seed=7) differs: the study has no such" in shown
+    assert "1 of 4 trials played again" in shown
 
 
 def test_a_sample_is_drawn_by_its_seed(finished, capsys, monkeypatch):
@@ -142,15 +142,15 @@ def test_rows_of_a_bisection_after_a_changed_outcome_are_none_of_its_trials(stud
     assert [stranger.number for stranger in strangers] == [2, 3]
 
 
-def told(row, again):
+def message(row, again):
     return difference(row, again, changed(row, again))
 
 
 def test_a_column_in_one_row_only_is_a_difference():
-    assert told({"a": 1, "b": [1, None]}, {"a": 1, "b": [1, None]}) == ""
-    assert told({"a": 1}, {"a": 1, "c": None}) == "c is not there, played again None"
-    assert told({"a": 1, "c": 2}, {"a": 1}) == "c is 2, played again not there"
-    assert told({"robot_tick_ms.p50": 1.0}, {"robot_tick_ms.p50": 2.0}) == ""
+    assert message({"a": 1, "b": [1, None]}, {"a": 1, "b": [1, None]}) == ""
+    assert message({"a": 1}, {"a": 1, "c": None}) == "c is not there, played again None"
+    assert message({"a": 1, "c": 2}, {"a": 1}) == "c is 2, played again not there"
+    assert message({"robot_tick_ms.p50": 1.0}, {"robot_tick_ms.p50": 2.0}) == ""
 
 
 def rounded_there(folder, **versions):
@@ -169,10 +169,12 @@ def test_where_sums_are_rounded_otherwise_small_differences_are_told_with_the_re
     rounded_there(folder, blas="SkylakeX")
     capsys.readouterr()
     assert check(folder, "--sample", "4") == 0
-    said = capsys.readouterr().out
-    assert f"blas SkylakeX there, {versions()['blas']} here" in said
-    assert "row 2 (link.network=generated:factory, seed=0) differs by rounding: com_error_m" in said
-    assert "rows that differ by rounding alone: 1" in said
+    shown = capsys.readouterr().out
+    assert f"blas SkylakeX there, {versions()['blas']} here" in shown
+    assert (
+        "row 2 (link.network=generated:factory, seed=0) differs by rounding: com_error_m" in shown
+    )
+    assert "rows that differ by rounding alone: 1" in shown
 
 
 def test_rounding_explains_neither_another_outcome_nor_a_large_difference(folder, capsys):
@@ -204,7 +206,7 @@ def test_published_sweeps_round_as_every_process_of_ours_does_on_a_processor_wit
 
 
 @pytest.mark.parametrize(
-    ("file", "text", "said"),
+    ("file", "text", "shown"),
     [
         ("about.json", None, "no about.json with the version of its code"),
         ("about.json", "[]", "no about.json with the version of its code"),
@@ -213,13 +215,13 @@ def test_published_sweeps_round_as_every_process_of_ours_does_on_a_processor_wit
         ("study.toml", "seeds =", "is not valid TOML"),
     ],
 )
-def test_what_is_no_finished_sweep_is_refused_in_one_line(folder, file, text, said):
+def test_what_is_no_finished_sweep_is_refused_in_one_line(folder, file, text, shown):
     (folder / file).unlink()
     if text is not None:
         (folder / file).write_text(text)
     with pytest.raises(ConfigError) as caught:
         check(folder)
-    assert said in str(caught.value)
+    assert shown in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

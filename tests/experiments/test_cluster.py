@@ -36,7 +36,10 @@ def started(process, log, line):
     def word():
         assert process.poll() is None, f"{process.args} ended: {log.read_text()}"
         lines = log.read_text().splitlines(keepends=True)
-        return next((said.split()[-1] for said in lines if line in said and said[-1] == "\n"), None)
+        return next(
+            (message.split()[-1] for message in lines if line in message and message[-1] == "\n"),
+            None,
+        )
 
     return until(word, lambda: f"{process.args} did not say {line!r}: {log.read_text()}")
 
@@ -100,7 +103,7 @@ def test_a_worker_of_other_code_or_packages_does_not_play(cluster, study, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("address", "said"),
+    ("address", "message"),
     [
         ("tcp://127.0.0.1:9", "got 'tcp://127.0.0.1:9': Timed out trying to connect"),
         ("127.0.0.1:8786", "expected a Dask scheduler, as tcp://HOST:8786, got '127.0.0.1:8786'"),
@@ -109,12 +112,12 @@ def test_a_worker_of_other_code_or_packages_does_not_play(cluster, study, tmp_pa
     ],
 )
 def test_a_scheduler_that_is_not_there_is_an_error_in_one_line(
-    study, tmp_path, monkeypatch, address, said
+    study, tmp_path, monkeypatch, address, message
 ):
     monkeypatch.setattr("experiments.studies.workers._SCHEDULER_WITHIN", 0.5)
     with pytest.raises(ConfigError) as caught:
         sweep(study, out=tmp_path, scheduler=address)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -86,8 +86,8 @@ def test_this_code_has_an_identity() -> None:
 def test_every_published_code_is_mapped() -> None:
     named = set()
     for about in (ROOT / "docs/results/trials").glob("*/about.json"):
-        told = json.loads(about.read_text())
-        named |= {told["code"], *told["other_code"]}
+        message = json.loads(about.read_text())
+        named |= {message["code"], *message["other_code"]}
     of_bytes = {code["of_bytes"] for code in CODES}
     identities = {code["identity"] for code in CODES}
     assert named <= of_bytes | identities | {code_version()}

@@ -140,18 +140,18 @@ def test_only_some_cells_of_a_bisection_can_be_played(play):
 
 
 def test_the_progress_of_a_bisection_counts_down_to_its_end(play, monkeypatch):
-    told = []
+    message = []
     monkeypatch.setattr(
         "experiments.studies.progress.Progress.finished",
-        lambda self, *, fell, left: told.append((fell, left)),
+        lambda self, *, fell, left: message.append((fell, left)),
     )
     whole = Oracle()
     play(whole)
     # At most 100 and five halvings each.
-    assert told[0][1] < 6 * 6
-    assert all(after < before for (_, before), (_, after) in itertools.pairwise(told))
-    assert told[-1][1] == 0
-    assert len(told) == len(whole.played)
+    assert message[0][1] < 6 * 6
+    assert all(after < before for (_, before), (_, after) in itertools.pairwise(message))
+    assert message[-1][1] == 0
+    assert len(message) == len(whole.played)
 
 
 def test_lines_of_another_bisection_are_left_out_and_counted(play, study_of, tmp_path, capsys):

@@ -11,7 +11,7 @@ BISECT_LOOP = "[bisect]\nsetting = 'loop.period_ns'\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("seeds = 0", "seeds: expected how many, at least 1, got 0"),
         ("seeds = true", "seeds: expected how many, at least 1, got True"),
@@ -84,10 +84,10 @@ BISECT_LOOP = "[bisect]\nsetting = 'loop.period_ns'\n"
         ("[bisect]\nsetting = 'x.y'\nvalue = 1\nhigh = 9", "the only cell: x: unknown setting"),
     ],
 )
-def test_a_bad_study_is_an_error_in_one_line(study_of, text, said):
+def test_a_bad_study_is_an_error_in_one_line(study_of, text, message):
     with pytest.raises(ConfigError) as caught:
         study_of(text)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "short" in str(caught.value)  # which study
     assert "\n" not in str(caught.value)
 

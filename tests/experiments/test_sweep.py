@@ -209,8 +209,8 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path):
         os.killpg(process.pid, signal.SIGINT)
         # Ends its worker instead of waiting for it.
         assert ended(process) == 130
-        _, said = process.communicate()
+        _, message = process.communicate()
     finally:
         process.kill()
-    assert said == f"interrupted; the same command goes on with {out}\n"
+    assert message == f"interrupted; the same command goes on with {out}\n"
     assert all(json.loads(line)["error"] is None for line in lines_of(out))

@@ -30,12 +30,12 @@ QUIET = ("--controller", "lc", "--push", "none", "--view", "off")
 def left_behind() -> Iterator[None]:
     """Whatever became of the test, its stacks end and are forgotten."""
     yield
-    told("down")
+    message("down")
     for link in STACKS.glob(f"{NAME}.*"):
         link.unlink()
 
 
-def told(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def message(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """What a command of `deploy/` says, and its exit code."""
     return played(str(ROOT / "deploy" / command), *arguments, "--name", NAME)
 
@@ -71,14 +71,14 @@ def assert_nothing_is_left(run: Path, ports: list[int]) -> None:
 
 def test_a_stack_in_the_background_from_its_start_to_its_end(start: Start, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    assert told("ps").stdout == "nothing is running\n"
+    assert message("ps").stdout == "nothing is running\n"
     started = up(*QUIET, "--network", "constant:10ms", "--duration", "600", "--out", str(run))
     assert started.returncode == 0, started.stdout + started.stderr
     assert " robot | READY" in started.stdout
     assert "\x1b" not in started.stdout
     ports = ports_of(run)
 
-    shown = told("ps")
+    shown = message("ps")
     assert shown.returncode == 0
     table = [line.split() for line in shown.stdout.splitlines()[2:]]
     assert [(row[0], row[2]) for row in table] == [
@@ -97,16 +97,16 @@ def test_a_stack_in_the_background_from_its_start_to_its_end(start: Start, tmp_p
 
     following = start("deploy.background.control", "logs", "-f", "robot", "--run", str(run))
     following.wait_for("the task begins")
-    again = told("restart", "edge")
+    again = message("restart", "edge")
     assert again.returncode == 0, again.stderr
     # The robot has stood on what it had, and gets new answers.
     following.wait_for("new answers again")
-    assert told("ps").stdout.splitlines()[2].split()[-1] == "1"
-    refused = told("restart", "robot")
+    assert message("ps").stdout.splitlines()[2].split()[-1] == "1"
+    refused = message("restart", "robot")
     assert refused.returncode == 2
     assert len(refused.stderr.splitlines()) == 1
 
-    ended = told("down")
+    ended = message("down")
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "Stands after" in ended.stdout
     assert following.wait() == 0
@@ -115,7 +115,7 @@ def test_a_stack_in_the_background_from_its_start_to_its_end(start: Start, tmp_p
     assert summary["fell"] is False
     # What both edges have done is in it, and in the log.
     assert (run / "edge.1.parquet").exists()
-    logged = told("logs").stdout
+    logged = message("logs").stdout
     assert logged.count("  edge | READY") == 2
     assert "edge started again 1 ×" in logged
 
@@ -131,11 +131,11 @@ def test_a_stack_whose_robot_falls_ends_by_itself_and_says_so_later(
     assert following.wait() == 0
     assert "FELL after" in following.output
     assert " robot | pushed with 100 N to +y" in following.output
-    shown = told("ps")
+    shown = message("ps")
     assert shown.returncode == 0
     assert shown.stdout.startswith("nothing is running\n")
     assert "(exit 3): FELL after" in shown.stdout
-    assert told("down").returncode == 3
+    assert message("down").returncode == 3
     assert_nothing_is_left(run, ports_of(run))
 
 
@@ -154,7 +154,7 @@ def test_a_busy_port_is_one_line_and_a_killed_supervisor_leaves_no_orphan(
 
     os.kill(StackFolder(run).read().pid, signal.SIGKILL)
     until_nobody_names(run)
-    assert "its supervisor was killed" in told("ps").stdout
-    assert told("down").returncode == 2
+    assert "its supervisor was killed" in message("ps").stdout
+    assert message("down").returncode == 2
     (run / "stack/control").unlink()
     assert_nothing_is_left(run, [int(port)])

@@ -163,8 +163,8 @@ def test_it_has_what_the_services_import_and_nothing_to_develop_with(
     code = f"""import importlib.util, {", ".join(modules)}, deploy.console.watch
 print([name for name in {DEVELOPMENT} if importlib.util.find_spec(name)])"""
     run = ("docker", "run", "--rm", "--network", "none", "--workdir", "/tmp", "--entrypoint")
-    told = docker.run(*run, "python", image, "-I", "-c", code, seconds=10 * MINUTE)
-    assert told.splitlines()[-1] == "[]"
+    message = docker.run(*run, "python", image, "-I", "-c", code, seconds=10 * MINUTE)
+    assert message.splitlines()[-1] == "[]"
 
 
 def test_romeo_stands_through_both_networks_and_all_is_in_its_files(

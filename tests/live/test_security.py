@@ -14,7 +14,7 @@ import pytest
 
 from deploy.keys import make
 from shared.bus.base import Delivery
-from shared.bus.preflight import knock
+from shared.bus.preflight import preflight
 from shared.bus.security import Credentials
 from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import LinkError
@@ -85,7 +85,7 @@ class Rogue:
         if delivery.data not in self._sent:
             self.overheard.append(delivery.data)
 
-    def attack(self, happened: Callable[[], bool], told: Callable[[], str]) -> None:
+    def attack(self, happened: Callable[[], bool], message: Callable[[], str]) -> None:
         """Forge forty messages each way, and more until something has happened."""
         before = len(self._sent)
 
@@ -96,7 +96,7 @@ class Rogue:
                 publisher.forward(Delivery(data, envelope=None))
             return len(self._sent) >= before + 40 and happened()
 
-        until(forged, told)
+        until(forged, message)
 
     @property
     def is_heard(self) -> bool:
@@ -157,20 +157,20 @@ def run_with_rogue(
         return lambda: robot.popen.poll() is not None or watched.last("tick") > end
 
     def noticed() -> bool:
-        told = "refuses a robot's states (undecodable)" in edge.output
-        return told and watched.last("refused") > 20 and len(rogue.overheard) > 100
+        message = "refuses a robot's states (undecodable)" in edge.output
+        return message and watched.last("refused") > 20 and len(rogue.overheard) > 100
 
-    def told() -> str:
+    def message() -> str:
         return f"{len(rogue.overheard)} overheard\n{robot.output}\n{edge.output}"
 
     try:
         if keys is None:
-            rogue.attack(noticed, told)
-        rogue.attack(lasted(1000), told)
+            rogue.attack(noticed, message)
+        rogue.attack(lasted(1000), message)
     finally:
         rogue.close()
     # What was on its way when it left arrives.
-    until(lasted(300), told)
+    until(lasted(300), message)
     robot.signal(signal.SIGINT)
     # It may have fallen.
     assert robot.wait() in (130, 3), robot.output
@@ -292,7 +292,7 @@ def test_a_peer_without_a_certificate_is_refused(
     def refused() -> str:
         # On a busy machine the refusal may come when it is no longer waited for.
         try:
-            knock(secured[0], bare)
+            preflight(secured[0], bare)
         except LinkError as error:
             return str(error)
         return ""

@@ -61,7 +61,7 @@ class Bench:
         self.log = RowLog(LINK_SCHEMA)
         self.noted = 0
         self.turns: list[int] = []
-        self.said: list[str] = []
+        self.message: list[str] = []
         self.outlets = (Outlet(UPLINK, self.turns), Outlet(DOWNLINK, self.turns))
         self.shim = Shim(
             profile,
@@ -70,7 +70,7 @@ class Bench:
             sides=Sides(*self.outlets),
             row=self._row,
             clock=clock,
-            say=self.said.append,
+            say=self.message.append,
         )
 
     def _row(self) -> np.ndarray:
@@ -219,7 +219,7 @@ def test_what_is_under_way_is_bounded_and_said_to_be(monkeypatch: pytest.MonkeyP
         until(lambda: bench.noted == 5, "what has left is not noted down")
         bench.send(UPLINK, 5, sent_ns=time.monotonic_ns())
         bench.outlets[UPLINK].wait_for(3)
-    assert sum("finds no room" in line for line in bench.said) == 1
+    assert sum("finds no room" in line for line in bench.message) == 1
     sequence, achieved = bench.column("sequence"), bench.column("achieved_ns")
     assert set(sequence[achieved == -1]) == {3, 4}
 

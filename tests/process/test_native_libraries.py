@@ -54,6 +54,6 @@ def test_newer_kernels_give_way_to_one_and_an_older_one_may_be_tried(
 
 
 def test_a_run_tells_what_its_bits_depend_on() -> None:
-    told = versions()
-    assert told["instructions"] == instruction_set()
-    assert {"blas", "numpy", "scipy", "pin", "mujoco", "daqp"} <= told.keys()
+    message = versions()
+    assert message["instructions"] == instruction_set()
+    assert {"blas", "numpy", "scipy", "pin", "mujoco", "daqp"} <= message.keys()

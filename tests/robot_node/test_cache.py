@@ -176,25 +176,25 @@ def test_what_was_solved_on_board_replaces_older_answers_only(
 
 
 def test_a_cache_of_projectors_does_not_ask_for_factorisations(cache, answer):
-    assert cache.holds is None
+    assert cache.held_sequences is None
     cache.offer(answer(3), newest_sent=10)
-    assert cache.holds is None
+    assert cache.held_sequences is None
 
 
 def test_an_empty_cache_of_factorisations_holds_none_and_says_so(factorisations):
     assert [factorisations.lookup(mode) for mode in ContactMode] == [None, None, None]
-    assert factorisations.holds == (-1, -1, -1)
+    assert factorisations.held_sequences == (-1, -1, -1)
 
 
 def test_each_mode_keeps_its_newest_factorisation_and_the_cache_says_which(
     factorisations, correction
 ):
     assert factorisations.offer(correction(0, *ContactMode), newest_sent=10)
-    assert factorisations.holds == (0, 0, 0)
+    assert factorisations.held_sequences == (0, 0, 0)
     assert factorisations.offer(correction(4, LEFT, stamp_ns=44), newest_sent=10)
-    assert factorisations.holds == (0, 4, 0)
+    assert factorisations.held_sequences == (0, 4, 0)
     assert factorisations.offer(correction(7, RIGHT, DOUBLE), newest_sent=10)
-    assert factorisations.holds == (7, 4, 7)
+    assert factorisations.held_sequences == (7, 4, 7)
     entry = factorisations.lookup(LEFT)
     assert (entry.sequence, entry.stamp_ns) == (4, 44)
     assert entry.corrector.factorisation.mode is LEFT
@@ -222,7 +222,7 @@ def test_a_factorisation_of_a_state_not_sent_yet_is_from_the_future(factorisatio
 def test_a_factorisation_for_another_start_of_the_robot_is_refused(factorisations, correction):
     assert not factorisations.offer(correction(3, session=SESSION + 1), newest_sent=10)
     assert factorisations.refused == {"session": 1}
-    assert factorisations.holds == (-1, -1, -1)
+    assert factorisations.held_sequences == (-1, -1, -1)
 
 
 def test_either_cache_refuses_what_is_for_the_other(cache, factorisations, answer, correction):
@@ -236,7 +236,7 @@ def test_a_sign_of_life_leaves_what_is_held_and_is_the_newest_answer(factorisati
     factorisations.offer(correction(3, *ContactMode, stamp_ns=33), newest_sent=10)
     sign = make_correction([], np.random.default_rng(0), session=SESSION, sequence=7, stamp_ns=77)
     assert factorisations.offer(factorisations._codec.encode_factorisations(sign), newest_sent=10)
-    assert factorisations.holds == (3, 3, 3)
+    assert factorisations.held_sequences == (3, 3, 3)
     assert factorisations.newest_stamp_ns == 77
 
 
@@ -282,7 +282,7 @@ def test_forces_that_are_not_definite_are_refused_and_leave_what_is_held(
     assert not factorisations.offer(codec.encode_factorisations(message), newest_sent=10)
     assert factorisations.refused == {"not_definite": 1}
     assert [factorisations.lookup(mode) for mode in ContactMode] == before
-    assert factorisations.holds == (3, 3, 3)
+    assert factorisations.held_sequences == (3, 3, 3)
     # Nor does it shut out the next.
     assert factorisations.offer(correction(4), newest_sent=10)
-    assert factorisations.holds == (4, 3, 3)
+    assert factorisations.held_sequences == (4, 3, 3)

@@ -105,15 +105,15 @@ def test_a_lost_answer_is_sent_again(bench):
 
 def test_states_tell_what_the_robot_holds(bench):
     played = bench().run(1)
-    assert played.state.holds == (-1, -1, -1)
+    assert played.state.held_sequences == (-1, -1, -1)
     played.run(1)
-    assert played.state.holds == (0, 0, 0)
+    assert played.state.held_sequences == (0, 0, 0)
 
 
 @pytest.mark.parametrize("controller", ["la", "pr"])
 def test_robots_that_want_projectors_say_nothing_of_it(robot, motion, configured, controller):
     played = Bench(robot, motion, configured(controller=controller, push=[])).run(2)
-    assert played.state.holds is None
+    assert played.state.held_sequences is None
 
 
 def test_an_answer_never_gets_too_old(bench):

@@ -8,8 +8,8 @@ from robot_node.safety import (
     FALLEN_COM_HEIGHT,
     FALLEN_TILT,
     JointHold,
-    RungChange,
     TorqueGuard,
+    TorqueRateLimiter,
     has_fallen,
 )
 
@@ -181,18 +181,20 @@ def test_an_orientation_that_is_no_number_is_a_fall(robot):
 
 
 def test_on_one_rung_a_torque_may_jump(guard):
-    change = RungChange(guard)
+    change = TorqueRateLimiter(guard)
     for sign in (1.0, -1.0, 1.0):
         tau = sign * guard.limit
         np.testing.assert_array_equal(change.bound(tau, changed=False), tau)
 
 
 def test_the_first_torque_of_all_may_be_any(guard):
-    np.testing.assert_array_equal(RungChange(guard).bound(guard.limit, changed=True), guard.limit)
+    np.testing.assert_array_equal(
+        TorqueRateLimiter(guard).bound(guard.limit, changed=True), guard.limit
+    )
 
 
 def test_on_another_rung_each_joint_follows_by_a_tenth_of_its_limit_per_tick(guard):
-    change = RungChange(guard)
+    change = TorqueRateLimiter(guard)
     change.bound(np.zeros(31), changed=False)
     goal = guard.limit * np.linspace(-0.95, 0.95, 31)
     applied = [change.bound(goal, changed=k == 0) for k in range(12)]
@@ -204,7 +206,7 @@ def test_on_another_rung_each_joint_follows_by_a_tenth_of_its_limit_per_tick(gua
 
 def test_a_robot_that_has_caught_up_may_jump_again(guard, rng):
     # Commands of either sign, never further from the last than a step.
-    change = RungChange(guard)
+    change = TorqueRateLimiter(guard)
     for k in range(4):
         tau = 0.04 * guard.limit * rng.uniform(-1.0, 1.0, 31)
         np.testing.assert_allclose(change.bound(tau, changed=k == 1), tau, rtol=1e-12)
@@ -212,7 +214,7 @@ def test_a_robot_that_has_caught_up_may_jump_again(guard, rng):
 
 
 def test_a_robot_that_has_not_caught_up_may_not(guard):
-    change = RungChange(guard)
+    change = TorqueRateLimiter(guard)
     change.bound(np.zeros(31), changed=False)
     change.bound(0.5 * guard.limit, changed=True)
     tau = change.bound(guard.limit, changed=False)

@@ -41,7 +41,7 @@ TALOS = CATALOGUE["talos"]
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (
             {"posture": "asleep"},
@@ -54,8 +54,8 @@ TALOS = CATALOGUE["talos"]
     ],
     ids=["posture", "joint"],
 )
-def test_an_entry_with_a_name_that_is_not_there_is_refused_with_those_that_are(change, said):
-    with pytest.raises(ConfigError, match=said):
+def test_an_entry_with_a_name_that_is_not_there_is_refused_with_those_that_are(change, message):
+    with pytest.raises(ConfigError, match=message):
         load(dataclasses.replace(TALOS, **change))
 
 

@@ -62,10 +62,10 @@ def test_losses_that_are_known_before_what_is_under_way_end_with_what_follows_th
     delay = np.full(300, 500)
     lost = np.full(300, -1)
     before, during, after = (np.arange(300) + begin for begin in (0, 300, 600))
-    told = lane.add(before[:1] * MILLISECOND, delay[:1] * MILLISECOND)
+    message = lane.add(before[:1] * MILLISECOND, delay[:1] * MILLISECOND)
     for sent_ms, delay_ms in ((during, lost), (before[1:], delay[1:]), (after, delay)):
-        told += lane.add(sent_ms * MILLISECOND, delay_ms * MILLISECOND)
-    changes = [(at_ns // MILLISECOND, state) for at_ns, state in told[1:]]
+        message += lane.add(sent_ms * MILLISECOND, delay_ms * MILLISECOND)
+    changes = [(at_ns // MILLISECOND, state) for at_ns, state in message[1:]]
     assert changes == [(800, OUTAGE), (1100, PASSING)]
 
 

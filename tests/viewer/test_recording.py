@@ -105,7 +105,7 @@ def swap_tables(run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "message"),
     [
         (spoil_config, "robot: expected one of romeo"),
         (remove_telemetry, "found no telemetry.parquet"),
@@ -115,10 +115,10 @@ def swap_tables(run: Path) -> None:
     ],
 )
 def test_a_spoilt_run_is_refused_in_one_line_and_leaves_no_recording(
-    run: Path, spoil: Callable[[Path], None], told: str
+    run: Path, spoil: Callable[[Path], None], message: str
 ) -> None:
     spoil(run)
-    with pytest.raises(UserError, match=told) as refused:
+    with pytest.raises(UserError, match=message) as refused:
         record(run)
     assert "\n" not in str(refused.value)
     assert not list(run.glob("recording.rrd*"))

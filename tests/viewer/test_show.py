@@ -85,7 +85,7 @@ def test_a_wrong_folder_is_refused_in_one_line(command: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda run, out: picture([run], out / "x.jpg"), r"ending in \.png"),
         (lambda run, out: picture([run], out / "x.png", at=3.0), r"0 to 0\.049 s, got 3"),
@@ -97,9 +97,9 @@ def test_a_wrong_folder_is_refused_in_one_line(command: str, tmp_path: Path) -> 
     ],
 )
 def test_pictures_that_cannot_be_are_refused_before_anything_is_drawn(
-    runs: dict[str, Path], tmp_path: Path, make: Callable[[Path, Path], None], told: str
+    runs: dict[str, Path], tmp_path: Path, make: Callable[[Path, Path], None], message: str
 ) -> None:
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         make(runs["la"], tmp_path)
     assert not list(tmp_path.iterdir())
 
@@ -120,9 +120,9 @@ def test_without_graphics_the_package_to_install_is_named(
 ) -> None:
     for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"):
         monkeypatch.setenv(name, str(tmp_path / "none.json"))
-    with pytest.raises(UserError, match="apt install mesa-vulkan-drivers") as told:
+    with pytest.raises(UserError, match="apt install mesa-vulkan-drivers") as message:
         picture([runs["la"]], tmp_path / "x.png")
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(message.value)
 
 
 @pytest.mark.live
@@ -144,6 +144,6 @@ def test_a_picture_shows_the_robot_and_the_plots(runs: dict[str, Path], tmp_path
 
 @pytest.mark.live
 def test_a_run_opens_in_a_browser_and_ends_when_told(runs: dict[str, Path]) -> None:
-    said: list[str] = []
-    show([runs["la"]], view="web", stopped=lambda: bool(said), say=said.append)
-    assert "la: open http://127.0.0.1:" in said[0]
+    output: list[str] = []
+    show([runs["la"]], view="web", stopped=lambda: bool(output), say=output.append)
+    assert "la: open http://127.0.0.1:" in output[0]

@@ -60,15 +60,15 @@ def test_states_arrive_to_the_last_bit(data, codec, robot):
         mode=data.draw(st.sampled_from(MODES)),
         q=data.draw(hnp.arrays(np.float64, robot.model.nq, elements=NUMBERS)),
         v=data.draw(hnp.arrays(np.float64, robot.model.nv, elements=NUMBERS)),
-        holds=data.draw(HOLDS),
+        held_sequences=data.draw(HOLDS),
     )
     assert_same(codec.decode_state(codec.encode_state(state)), state)
 
 
 def test_a_robot_that_holds_nothing_is_not_one_that_wants_projectors(codec, robot):
-    for holds in (None, (-1, -1, -1), (0, -1, 7)):
-        state = make_state(robot, holds=holds)
-        assert codec.decode_state(codec.encode_state(state)).holds == holds
+    for held_sequences in (None, (-1, -1, -1), (0, -1, 7)):
+        state = make_state(robot, held_sequences=held_sequences)
+        assert codec.decode_state(codec.encode_state(state)).held_sequences == held_sequences
 
 
 @settings(max_examples=30)
@@ -153,7 +153,7 @@ def test_states_stay_below_a_kilobyte(codec, robot):
         sequence=far,
         stamp_ns=far,
         time_ns=far,
-        holds=len(MODES) * (far,),
+        held_sequences=len(MODES) * (far,),
     )
     assert len(codec.encode_state(state)) <= UPLINK.max_bytes == 1_000
 

@@ -37,7 +37,7 @@ def codec_of(robot):
 
 def test_a_state_fits(codec_of, robot):
     far = 2**62
-    state = make_state(robot, sequence=far, stamp_ns=far, time_ns=far, holds=3 * (far,))
+    state = make_state(robot, sequence=far, stamp_ns=far, time_ns=far, held_sequences=3 * (far,))
     assert len(codec_of("walk").encode_state(state)) <= UPLINK.max_bytes
 
 

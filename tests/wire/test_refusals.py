@@ -34,7 +34,7 @@ def answer_bytes(codec, stacks):
 
 
 def assert_usable(state):
-    assert state.holds is None or all(sequence >= -1 for sequence in state.holds)
+    assert state.held_sequences is None or all(sequence >= -1 for sequence in state.held_sequences)
     assert np.isfinite(state.q).all()
     assert np.isfinite(state.v).all()
     assert (state.q.shape, state.v.shape) == ((38,), (37,))
@@ -156,14 +156,14 @@ def test_what_a_robot_says_to_hold_is_a_number_per_mode_or_nothing(codec, state_
     if isinstance(result, str):
         assert result in {"shape", "oversized"}
     elif value is None:
-        assert result.holds is None
+        assert result.held_sequences is None
     else:
-        assert result.holds == tuple(value)
+        assert result.held_sequences == tuple(value)
         assert all(type(sequence) is int and sequence >= -1 for sequence in value)
 
 
 @pytest.mark.parametrize(
-    "holds",
+    "held_sequences",
     [
         [],
         [1, 2],
@@ -183,8 +183,8 @@ def test_what_a_robot_says_to_hold_is_a_number_per_mode_or_nothing(codec, state_
     ],
     ids=str,
 )
-def test_other_things_to_hold_are_refused(codec, state_bytes, holds):
-    data = altered(state_bytes, lambda fields: fields.update(holds=holds))
+def test_other_things_to_hold_are_refused(codec, state_bytes, held_sequences):
+    data = altered(state_bytes, lambda fields: fields.update(holds=held_sequences))
     assert reason_of(codec.decode_state, data) == "shape"
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import tomli_w
 
 from experiments.studies.study_file import read_study
-from experiments.studies.trial_sequence import Course, Outcome, Trial
+from experiments.studies.trial_sequence import Outcome, Trial, TrialSequence
 from experiments.studies.trial_table import write_trials
 from netem.networks import load_profile
 
@@ -49,7 +49,7 @@ def finished(out: Path, *names: str, world: World = paperlike, seeds: int | None
     """What sweeps of these studies would have left in `out`; in their quick form with `seeds`."""
     for name in names:
         study = read_study(name, quick=seeds is not None, seeds=seeds)
-        rows = [row for course in study.courses() for row in _played(course, world)]
+        rows = [row for sequence in study.sequences() for row in _played(sequence, world)]
         folder = out / name
         folder.mkdir(parents=True)
         write_trials(rows, folder)
@@ -57,7 +57,7 @@ def finished(out: Path, *names: str, world: World = paperlike, seeds: int | None
         (folder / "about.json").write_text(json.dumps(ABOUT))
 
 
-def _played(course: Course, world: World) -> list[dict[str, Any]]:
+def _played(sequence: TrialSequence, world: World) -> list[dict[str, Any]]:
     rows = []
 
     def outcome(trial: Trial) -> Outcome:
@@ -65,7 +65,7 @@ def _played(course: Course, world: World) -> list[dict[str, Any]]:
         rows.append(_row(trial, errors) | (DISCREPANCY if trial.all_active_sets else {}))
         return "fell" if errors is None else "stood"
 
-    course.follow(outcome)
+    sequence.follow(outcome)
     return rows
 
 

@@ -64,9 +64,9 @@ def shortened(monkeypatch, tmp_path):
 def test_what_is_run_becomes_a_page_with_its_trials_and_figures(shortened, tmp_path, capsys):
     out, docs = tmp_path / "out", tmp_path / "docs"
     assert run_names("table6", "fig6", "--quick", "--workers", "1", "--out", out) == 0
-    told = capsys.readouterr()
-    assert "Table VI, walk\ncardinality  LA ticks" in told.out
-    assert "study table6, 1 to go" in told.err
+    message = capsys.readouterr()
+    assert "Table VI, walk\ncardinality  LA ticks" in message.out
+    assert "study table6, 1 to go" in message.err
     assert report("--out", out, "--docs", docs) == 0
 
     page = (docs / "results.md").read_text()
@@ -152,14 +152,14 @@ def test_an_unknown_table_is_one_clear_error(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "output"),
     [
         (["--workers", "0"], "expected at least 1, got 0"),
         (["--workers", "2", "--scheduler", "tcp://a:1"], "expected one of them"),
     ],
 )
-def test_workers_that_cannot_be_are_refused_before_anything_is_played(options, said, tmp_path):
-    with pytest.raises(ConfigError, match=said):
+def test_workers_that_cannot_be_are_refused_before_anything_is_played(options, output, tmp_path):
+    with pytest.raises(ConfigError, match=output):
         run_names("fig4", *options, "--out", tmp_path)
     assert list(tmp_path.iterdir()) == []
 

@@ -233,7 +233,7 @@ def test_all_claims_hold_in_a_world_like_the_papers(complete):
 
 
 @pytest.mark.parametrize(
-    ("studies", "controller", "spoilt", "said"),
+    ("studies", "controller", "spoilt", "message"),
     [
         (["table2"], "la", (0.01, 9.0), "violation ≤ PR's at every delay; not at 0, 10"),
         (["table3"], "la", (0.9, 0.0), "CoM error ≤ PR's at every delay; not at 0, 3"),
@@ -244,13 +244,15 @@ def test_all_claims_hold_in_a_world_like_the_papers(complete):
         (["table4"], "pr", (0.01, 9.0), "building, walk: PR always falls; stood 100 %, 1/1"),
     ],
 )  # fmt: skip
-def test_a_claim_fails_where_the_rows_say_otherwise(tmp_path, studies, controller, spoilt, said):
+def test_a_claim_fails_where_the_rows_say_otherwise(tmp_path, studies, controller, spoilt, message):
     def world(trial):
         return spoilt if trial.config.controller == controller else paperlike(trial)
 
     finished(tmp_path, *studies, world=world, seeds=1)
     failed = [str(claim) for claim in claims(Results(tmp_path)) if claim.holds is False]
-    assert any(said in claim and claim.startswith("**does not hold**") for claim in failed), failed
+    assert any(message in claim and claim.startswith("**does not hold**") for claim in failed), (
+        failed
+    )
 
 
 def test_without_rows_a_claim_neither_holds_nor_fails(tmp_path):

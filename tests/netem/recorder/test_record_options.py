@@ -13,7 +13,7 @@ NEAR = ("--connect", "tcp/127.0.0.1:1")
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (NEAR, "out: expected the profile to write"),
         ((*NEAR, "--out", "x.dat"), "ends in .npz or .csv"),
@@ -31,7 +31,7 @@ def test_a_mistake_is_one_line(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     options: tuple[str, ...],
-    told: str,
+    message: str,
 ) -> None:
     # Away from the project's folder, should a file be written after all.
     monkeypatch.chdir(tmp_path)
@@ -43,5 +43,5 @@ def test_a_mistake_is_one_line(
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.count("\n") == 1
-    assert told in captured.err
+    assert message in captured.err
     assert list(tmp_path.iterdir()) == []
