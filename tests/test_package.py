@@ -1,0 +1,81 @@
+"""The package: what a wheel of it has, and what pyproject.toml says of it beside other files."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import zipfile
+from typing import Any
+
+import pytest
+
+from shared.config.toml_file import read_toml
+from shared.process.entry import python
+from tests.processes import ROOT
+
+PYPROJECT: dict[str, Any] = read_toml(ROOT / "pyproject.toml", what="the project")
+PROJECT: dict[str, Any] = PYPROJECT["project"]
+PACKAGES = sorted(
+    name.removesuffix("*")
+    for name in PYPROJECT["tool"]["setuptools"]["packages"]["find"]["include"]
+)
+# What setuptools imports is what the lock file names; it fetches nothing.
+BUILD = "import sys; from setuptools import build_meta; print(build_meta.build_wheel(sys.argv[1]))"
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    """Built from a copy: setuptools leaves folders beside the sources."""
+    copy, out = tmp_path_factory.mktemp("copy"), tmp_path_factory.mktemp("wheel")
+    for name in PACKAGES:
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "remote_wbc.py", PROJECT["readme"], *PROJECT["license-files"]):
+        shutil.copy(ROOT / name, copy)
+    built = subprocess.run(
+        python("-c", BUILD, str(out)), cwd=copy, capture_output=True, text=True, check=False
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    return zipfile.ZipFile(out / built.stdout.split()[-1])
+
+
+def test_a_wheel_has_every_module_and_no_test(wheel: zipfile.ZipFile) -> None:
+    ours = {
+        path.relative_to(ROOT).as_posix()
+        for path in (
+            *ROOT.glob("*.py"),
+            *(each for p in PACKAGES for each in (ROOT / p).rglob("*.py")),
+        )
+    }
+    assert {name for name in wheel.namelist() if name.endswith(".py")} == ours
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_wheel_says_that_a_package_is_typed(wheel: zipfile.ZipFile, package: str) -> None:
+    assert f"{package}/py.typed" in wheel.namelist()
+
+
+def test_a_wheel_has_the_data_that_the_code_reads(wheel: zipfile.ZipFile) -> None:
+    data = {
+        path.relative_to(ROOT).as_posix()
+        for folder in PACKAGES
+        for suffix in ("toml", "npz")
+        for path in (ROOT / folder).rglob(f"*.{suffix}")
+    }
+    assert len(data) > 100
+    # Settings of the stack in Docker, which is started in the repository.
+    assert data - set(wheel.namelist()) == {"deploy/compose.toml"}
+
+
+def test_a_wheel_has_the_licence_and_names_it(wheel: zipfile.ZipFile) -> None:
+    folder = f"{PROJECT['name'].replace('-', '_')}-{PROJECT['version']}.dist-info"
+    text = (ROOT / "LICENSE").read_text()
+    assert wheel.read(f"{folder}/licenses/LICENSE").decode() == text
+    assert "Version 2.0, January 2004" in text
+    assert re.search(
+        "^License-Expression: Apache-2.0$", wheel.read(f"{folder}/METADATA").decode(), re.M
+    )
+
+
+def test_no_index_takes_it_by_mistake() -> None:
+    assert "Private :: Do Not Upload" in PROJECT["classifiers"]
