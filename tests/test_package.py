@@ -9,6 +9,7 @@ import zipfile
 from typing import Any
 
 import pytest
+import yaml
 
 from shared.config.toml_file import read_toml
 from shared.process.entry import python
@@ -75,6 +76,19 @@ def test_a_wheel_has_the_licence_and_names_it(wheel: zipfile.ZipFile) -> None:
     assert re.search(
         "^License-Expression: Apache-2.0$", wheel.read(f"{folder}/METADATA").decode(), re.M
     )
+
+
+def test_the_citation_and_the_changelog_are_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    # What version 1.2 of the format requires of a file, and of a work that it refers to.
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()
+    assert all({"type", "title", "authors"} <= work.keys() for work in citation["references"])
+    assert (citation["version"], citation["license"], citation["authors"]) == (
+        PROJECT["version"],
+        PROJECT["license"],
+        PROJECT["authors"],
+    )
+    assert PROJECT["version"] in (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_no_index_takes_it_by_mistake() -> None:
