@@ -39,7 +39,8 @@ class LinkTrial:
     def round_trips_ns(self) -> np.ndarray:
         """Of the answers to the near end's messages (n,)."""
         answers = self.arrivals[1]
-        return answers[:, ARRIVED] - answers[:, ECHOED]
+        passed: np.ndarray = answers[:, ARRIVED] - answers[:, ECHOED]
+        return passed
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,8 @@ from deploy.supervisor import Launch, Supervisor
 from shared.config.settings import RunConfig
 from shared.errors import LinkError, UserError
 from shared.output.report import summary_in_words
-from shared.process.cli import EXIT_ERROR, EXIT_FELL, EXIT_INTERRUPTED, EXIT_STANDING
-from shared.process.entry import python
+from shared.process.cli import EXIT_FELL, EXIT_STANDING
+from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, python
 
 _STATUS_SECONDS = 0.1
 

@@ -58,7 +58,8 @@ class CapacityProfile:
     @property
     def duration_ns(self) -> int:
         """Length of one pass [ns]."""
-        return self.capacity.shape[1] * self.period_ns
+        n: int = self.capacity.shape[1]
+        return n * self.period_ns
 
     def start_offset_ns(self, seed: int) -> int:
         """Where in the profile a run of this seed begins: as in the profile of its delays."""

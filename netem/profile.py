@@ -73,7 +73,8 @@ class DelayProfile:
     @property
     def duration_ns(self) -> int:
         """Length of one pass [ns]."""
-        return self.delays_ns.shape[1] * self.period_ns
+        n: int = self.delays_ns.shape[1]
+        return n * self.period_ns
 
     def delay_ns(self, direction: int, elapsed_ns: int) -> int:
         """Delay of a message sent `elapsed_ns` after the profile began, or `LOST`."""

@@ -62,13 +62,15 @@ def delays_ms(profile: DelayProfile, link: str) -> np.ndarray:
     A round trip is the message up, and the answer sent the moment it arrives.
     """
     ways = np.where(profile.delays_ns == LOST, np.inf, profile.delays_ns * 1e-6)
+    up: np.ndarray = ways[UPLINK]
+    down: np.ndarray = ways[DOWNLINK]
     if link != "round trip":
-        return ways[DOWNLINK if link == "downlink" else UPLINK]
+        return down if link == "downlink" else up
     n, period_ms = ways.shape[1], profile.period_ns * 1e-6
-    up = ways[UPLINK]
     passed = np.isfinite(up)
     arrival = np.arange(n) + (np.where(passed, up, 0.0) // period_ms).astype(int)
-    return up + ways[DOWNLINK][arrival % n]
+    round_trip: np.ndarray = up + down[arrival % n]
+    return round_trip
 
 
 def outages(delays: np.ndarray) -> list[ObservedOutage]:

@@ -22,13 +22,13 @@ from shared.motion.plan import make_motion
 from shared.output.report import robot_report
 from shared.process.cli import (
     EXIT_FELL,
-    EXIT_INTERRUPTED,
     EXIT_STANDING,
     Parser,
     add_run_arguments,
     config_from,
     run,
 )
+from shared.process.entry import EXIT_INTERRUPTED
 from shared.process.realtime import prepare, suspend_garbage_collection
 from shared.process.service import (
     NETEM_ENDPOINT,

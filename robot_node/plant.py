@@ -84,4 +84,5 @@ def from_mujoco(qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def world_from_base(q: np.ndarray) -> np.ndarray:
     """Rotation of the base, (3, 3), from a Pinocchio configuration."""
-    return pin.Quaternion(q[6], q[3], q[4], q[5]).toRotationMatrix()
+    rotation: np.ndarray = pin.Quaternion(q[6], q[3], q[4], q[5]).toRotationMatrix()
+    return rotation

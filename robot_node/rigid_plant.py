@@ -61,7 +61,7 @@ class RigidPlant:
         force[:3] = pin.Quaternion(self._q[3:7]).toRotationMatrix().T @ push
         force[3:6] = np.cross(self._lever, force[:3])
         force[6:] = tau
-        return pin.constraintDynamics(
+        a: np.ndarray = pin.constraintDynamics(
             self._model,
             self._data,
             self._q,
@@ -71,6 +71,7 @@ class RigidPlant:
             self._weld_data,
             self._settings,
         )
+        return a
 
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
         """One timestep under joint torques and a push, as in `Plant`."""

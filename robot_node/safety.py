@@ -30,7 +30,8 @@ class TorqueGuard:
         """`tau` clamped, shape (nv − 6,) [N m]; None if any entry is not finite."""
         if not np.isfinite(tau).all():
             return None
-        return np.minimum(np.maximum(tau, -self.limit), self.limit)
+        clamped: np.ndarray = np.minimum(np.maximum(tau, -self.limit), self.limit)
+        return clamped
 
 
 class TorqueRateLimiter:
@@ -79,7 +80,10 @@ class JointHold:
 
     def torque(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Holding torque at (q, v), shape (nv − 6,) [N m]."""
-        return self._torque + self._stiffness * (self._posture - q[7:]) - self._damping * v[6:]
+        torque: np.ndarray = (
+            self._torque + self._stiffness * (self._posture - q[7:]) - self._damping * v[6:]
+        )
+        return torque
 
 
 def has_fallen(q: np.ndarray, *, com_height: float, standing_com_height: float) -> bool:

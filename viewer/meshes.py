@@ -99,12 +99,13 @@ def _plain_shape(geometry: pin.coal.CollisionGeometry) -> trimesh.Trimesh | None
     """A box, sphere, cylinder or capsule as a mesh; None if the geometry comes from a file."""
     import trimesh
 
+    shape: trimesh.Trimesh | None = None
     if isinstance(geometry, pin.coal.Box):
-        return trimesh.creation.box(extents=2.0 * geometry.halfSide)
-    if isinstance(geometry, pin.coal.Sphere):
-        return trimesh.creation.icosphere(radius=geometry.radius)
-    if isinstance(geometry, pin.coal.Cylinder):
-        return trimesh.creation.cylinder(geometry.radius, 2.0 * geometry.halfLength)
-    if isinstance(geometry, pin.coal.Capsule):
-        return trimesh.creation.capsule(2.0 * geometry.halfLength, geometry.radius)
-    return None
+        shape = trimesh.creation.box(extents=2.0 * geometry.halfSide)
+    elif isinstance(geometry, pin.coal.Sphere):
+        shape = trimesh.creation.icosphere(radius=geometry.radius)
+    elif isinstance(geometry, pin.coal.Cylinder):
+        shape = trimesh.creation.cylinder(geometry.radius, 2.0 * geometry.halfLength)
+    elif isinstance(geometry, pin.coal.Capsule):
+        shape = trimesh.creation.capsule(2.0 * geometry.halfLength, geometry.radius)
+    return shape

@@ -24,14 +24,8 @@ from deploy.background.state import ENDED, StackFolder, StackState, exit_in_word
 from deploy.console.terminal import Terminal, service_line
 from deploy.services import load_services
 from shared.errors import ConfigError, LinkError
-from shared.process.cli import (
-    EXIT_ERROR,
-    EXIT_INTERRUPTED,
-    EXIT_STANDING,
-    Subcommand,
-    run,
-    run_command,
-)
+from shared.process.cli import EXIT_STANDING, Subcommand, run, run_command
+from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED
 
 _POLL_SECONDS = 0.1
 # Beyond what the services themselves may take to start or to end.

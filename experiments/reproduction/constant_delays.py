@@ -148,7 +148,7 @@ def paper_tolerance(table: DelayTable, name: str) -> int:
     if name == "la":
         return int(paper["largest_delay_ms"])
     errors = zip(paper["delays_ms"], paper[COM_ERROR][name], strict=True)
-    return max(delay for delay, error in errors if error < float("inf"))
+    return max(int(delay) for delay, error in errors if error < float("inf"))
 
 
 def _stood(table: DelayTable, delay: int, by_name: _ByName, full_qp: Outcome) -> list[str]:

@@ -108,4 +108,4 @@ def limits_in_words(study: Study, found: Sequence[Limit], rows: Sequence[dict[st
 
 
 def _coverage(k: int, n: int) -> float:
-    return 1.0 - 2.0 * sum(math.comb(n, i) for i in range(k)) / 2**n
+    return 1.0 - 2.0 * sum(math.comb(n, i) for i in range(k)) / 2.0**n

@@ -39,19 +39,22 @@ class Blockers:
     def positions(self, seconds: np.ndarray) -> np.ndarray:
         """Where each is on its track, from −`half_track` to `half_track` [m]; (n, times)."""
         gone = (self.start[:, None] + self.speed * seconds) % (4.0 * self.half_track)
-        return np.abs(gone - 2.0 * self.half_track) - self.half_track
+        position: np.ndarray = np.abs(gone - 2.0 * self.half_track) - self.half_track
+        return position
 
     def screens(self, slant: np.ndarray) -> np.ndarray:
         """Width of each as the path sees it [m], (n, times).
 
         `slant` (times,): the tangent of the angle between the path and the normal of the tracks.
         """
-        return self.width[:, None] + self.depth[:, None] * np.abs(slant)
+        width: np.ndarray = self.width[:, None] + self.depth[:, None] * np.abs(slant)
+        return width
 
 
 def covers(offset: np.ndarray, width: np.ndarray) -> np.ndarray:
     """Whether a screen with its centre `offset` [m] beside the line cuts it."""
-    return np.abs(offset) < width / 2.0
+    covered: np.ndarray = np.abs(offset) < width / 2.0
+    return covered
 
 
 def knife_edge_loss_db(
@@ -69,7 +72,8 @@ def knife_edge_loss_db(
     near, far = np.abs(offset) - np.divide(width, 2.0), np.abs(offset) + np.divide(width, 2.0)
     # beyond the far edge the line is always covered, beyond the near one only if it is cut
     covered = _edge(far, before, behind) - np.sign(near) * _edge(near, before, behind)
-    return -20.0 * np.log10(1.0 - covered)
+    loss: np.ndarray = -20.0 * np.log10(1.0 - covered)
+    return loss
 
 
 def _edge(
@@ -77,4 +81,7 @@ def _edge(
 ) -> np.ndarray:
     """|F| of an edge `distance` [m] beside the line."""
     over = np.hypot(before, distance) + np.hypot(behind, distance) - (before + behind)
-    return np.arctan(np.pi / 2.0 * np.sqrt(np.pi / WAVELENGTH * np.maximum(over, 0.0))) / np.pi
+    part: np.ndarray = (
+        np.arctan(np.pi / 2.0 * np.sqrt(np.pi / WAVELENGTH * np.maximum(over, 0.0))) / np.pi
+    )
+    return part

@@ -148,12 +148,15 @@ def path_loss_db(
     UMi up to its breakpoint only (1.7 km at 28 GHz).
     """
     log_d, log_f = np.log10(distance), np.log10(CARRIER_GHZ)
-    free = 32.4 + (17.3 if indoor else 21.0) * log_d + 20.0 * log_f
+    free: np.ndarray = 32.4 + (17.3 if indoor else 21.0) * log_d + 20.0 * log_f
     if line_of_sight:
         return free
     if indoor:
-        return np.maximum(free, 17.3 + 38.3 * log_d + 24.9 * log_f)
-    return np.maximum(free, 22.4 + 35.3 * log_d + 21.3 * log_f - 0.3 * (robot_height - 1.5))
+        blocked = 17.3 + 38.3 * log_d + 24.9 * log_f
+    else:
+        blocked = 22.4 + 35.3 * log_d + 21.3 * log_f - 0.3 * (robot_height - 1.5)
+    loss: np.ndarray = np.maximum(free, blocked)
+    return loss
 
 
 def _draw_blockers(scenario: Scenario, rng: np.random.Generator) -> Blockers:

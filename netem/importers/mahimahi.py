@@ -128,7 +128,8 @@ def _sending_times(path: Path, load: Load, duration_ns: int) -> np.ndarray:
             f"{path}: {count} messages at {load.rate_hz:g} Hz in {duration_ns * 1e-9:g} s: "
             f"expected from 1 to {MAX_PERIODS}; --duration and --load say how many"
         )
-    return np.rint(np.arange(count) * (1e9 / load.rate_hz)).astype(np.int64)
+    sent: np.ndarray = np.rint(np.arange(count) * (1e9 / load.rate_hz)).astype(np.int64)
+    return sent
 
 
 def _finish(

@@ -136,4 +136,5 @@ def _along(
     """When each number was sent: unanswered ones between their neighbours, or an interval apart."""
     between = np.interp(numbers, answered, times - times[0])
     before, after = np.minimum(numbers - answered[0], 0), np.maximum(numbers - answered[-1], 0)
-    return times[0] + np.rint(between).astype(np.int64) + (before + after) * interval
+    sent: np.ndarray = times[0] + np.rint(between).astype(np.int64) + (before + after) * interval
+    return sent

@@ -134,7 +134,7 @@ def _resampled(way: Way, start_ns: int, n: int, period_ns: int) -> np.ndarray:
     # From the first packet on: nanoseconds since 1970 do not fit a double.
     origin = sent[0]
     filled = np.interp(centres - origin, sent[passed] - origin, delay[passed])
-    resampled = np.rint(filled).astype(np.int64)
+    resampled: np.ndarray = np.rint(filled).astype(np.int64)
     inside = (index >= 0) & (index < n)
     resampled[index[inside]] = delay[inside]
     return resampled

@@ -30,7 +30,8 @@ from shared.bus.security import EDGE, Credentials
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.settings import RobotConfig
 from shared.errors import ConfigError, LinkError
-from shared.process.cli import EXIT_INTERRUPTED, EXIT_STANDING
+from shared.process.cli import EXIT_STANDING
+from shared.process.entry import EXIT_INTERRUPTED
 from shared.process.realtime import prepare, suspend_garbage_collection
 from shared.process.service import StopSignal, add_identity_arguments, identity_from
 from shared.wire.channels import DOWNLINK, UPLINK

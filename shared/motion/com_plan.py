@@ -126,4 +126,7 @@ def _xi_before(segment: ZmpSegment, xi_end: np.ndarray, omega: float) -> np.ndar
     duration = segment.finish - segment.begin
     slope = (segment.end - segment.start) / duration
     offset_end = segment.end + slope / omega
-    return segment.start + slope / omega + (xi_end - offset_end) * math.exp(-omega * duration)
+    xi: np.ndarray = (
+        segment.start + slope / omega + (xi_end - offset_end) * math.exp(-omega * duration)
+    )
+    return xi

@@ -59,7 +59,8 @@ class RowLog:
         if self._used == BLOCK_ROWS:
             self._hand_over()
         self._used += 1
-        return self._block[self._used - 1]
+        row: np.ndarray = self._block[self._used - 1]
+        return row
 
     def close(self) -> None:
         """Hand over the last rows and wait until they are written."""

@@ -159,7 +159,8 @@ class WholeBodyModel:
         six entries are the dynamics residual of the floating base.
         """
         self._load_soles(wrenches)
-        return pin.rnea(self.model, self.data, q, v, a, self._external_forces)
+        force: np.ndarray = pin.rnea(self.model, self.data, q, v, a, self._external_forces)
+        return force
 
     def _load_soles(self, wrenches: dict[Foot, np.ndarray]) -> None:
         """Set the external forces of the next inverse dynamics, (6,) per foot in its sole frame."""
@@ -180,16 +181,18 @@ class WholeBodyModel:
         a[:6] = multipliers.dynamics
         a[:3] += multipliers.com / self._mass
         self._load_soles({foot: -wrench for foot, wrench in multipliers.soles.items()})
-        product = pin.rnea(
+        force = pin.rnea(
             self._weightless, self.data, q, self._no_acceleration, a, self._external_forces
         )
-        return product + multipliers.joints
+        product: np.ndarray = force + multipliers.joints
+        return product
 
     def sole_motion_of_base(self, foot: Foot, now: Kinematics, motion: np.ndarray) -> np.ndarray:
         """The first six columns of J_sole times `motion` (6,): the sole on a rigid body."""
         world_from_base = pin.SE3(now.world_from_base, now.q[:3])
         base_from_sole = world_from_base.actInv(now.sole_placement[foot])
-        return base_from_sole.actInv(pin.Motion(motion)).vector
+        moved: np.ndarray = base_from_sole.actInv(pin.Motion(motion)).vector
+        return moved
 
     def com_and_soles(self, q: np.ndarray) -> tuple[np.ndarray, dict[Foot, np.ndarray]]:
         """Centre of mass and origin of each sole frame in the world, (3,), at q."""

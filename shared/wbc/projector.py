@@ -41,7 +41,8 @@ class Projector:
 
     def apply(self, b: np.ndarray) -> np.ndarray:
         """y = A† b, Eq. (4); shape (n,): accelerations, then contact forces."""
-        return self.A_dagger @ b
+        y: np.ndarray = self.A_dagger @ b
+        return y
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,4 +149,5 @@ def spd_inverse(matrix: np.ndarray) -> np.ndarray:
     if info != 0 or not math.isfinite(inverse[-1, -1]):
         raise np.linalg.LinAlgError("not positive definite")
     inverse.reshape(-1, order="F")[:: matrix.shape[0] + 1] *= 0.5
-    return inverse + inverse.T
+    whole: np.ndarray = inverse + inverse.T
+    return whole

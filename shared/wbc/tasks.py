@@ -61,12 +61,13 @@ class ComTask:
 
     def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
         kd = 2.0 * math.sqrt(self.kp)
-        return kinematics.world_from_base.T @ (
+        target: np.ndarray = kinematics.world_from_base.T @ (
             reference.com_acceleration
             + self.kp * (reference.com - kinematics.com)
             + kd * (reference.com_velocity - kinematics.com_velocity)
             - kinematics.com_acceleration
         )
+        return target
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
         multipliers.com += rows
@@ -91,7 +92,8 @@ class BaseOrientationTask:
         base_from_reference = kinematics.world_from_base.T @ reference.world_from_base
         kd = 2.0 * math.sqrt(self.kp)
         error = self.kp * pin.log3(base_from_reference)
-        return error - kd * kinematics.v[3:6] - kinematics.a[3:6]
+        target: np.ndarray = error - kd * kinematics.v[3:6] - kinematics.a[3:6]
+        return target
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
         multipliers.joints[3:6] += rows
@@ -115,7 +117,8 @@ class PostureTask:
     def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
         kd = 2.0 * math.sqrt(self.kp)
         error = self.kp * (reference.posture - kinematics.q[7:])
-        return error - kd * kinematics.v[6:] - kinematics.a[6:]
+        target: np.ndarray = error - kd * kinematics.v[6:] - kinematics.a[6:]
+        return target
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
         multipliers.joints[6:] += rows
