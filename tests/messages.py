@@ -14,11 +14,11 @@ from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Factorisation
 from shared.wbc.projector import Projector
 from shared.wbc.stack import Stack
+from shared.wbc.whole_body import TimedProjector
 from shared.wire.messages import (
     FactorisationMessage,
     ProjectorMessage,
     RobotState,
-    TimedProjector,
 )
 
 FOR_EVER_NS = 2**62

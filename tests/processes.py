@@ -81,7 +81,7 @@ def until(happened: Callable[[], _Found], message: Callable[[], str] | str) -> _
 
 def ended(process: subprocess.Popen[str] | subprocess.Popen[bytes]) -> int:
     """Exit code of a process that is about to end."""
-    until(lambda: process.poll() is not None, lambda: f"{process.args} does not end")
+    until(lambda: process.poll() is not None, lambda: f"{process.args!r} does not end")
     return process.returncode
 
 

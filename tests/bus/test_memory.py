@@ -18,14 +18,16 @@ def bus(clock):
 
 
 def test_a_message_is_there_when_publishing_returns(bus):
-    received = []
+    received: list[Delivery] = []
     bus.subscribe("key", received.append)
     bus.publisher("key").publish(b"hello")
     assert [delivery.data for delivery in received] == [b"hello"]
 
 
 def test_every_subscriber_of_a_key_receives_and_no_other(bus):
-    here, there, elsewhere = [], [], []
+    here: list[Delivery] = []
+    there: list[Delivery] = []
+    elsewhere: list[Delivery] = []
     bus.subscribe("key", here.append)
     bus.subscribe("key", there.append)
     bus.subscribe("other", elsewhere.append)
@@ -35,7 +37,8 @@ def test_every_subscriber_of_a_key_receives_and_no_other(bus):
 
 
 def test_a_publisher_made_before_its_subscriber_reaches_it(bus):
-    publisher, received = bus.publisher("key"), []
+    received: list[Delivery] = []
+    publisher = bus.publisher("key")
     publisher.publish(b"nobody listens")
     bus.subscribe("key", received.append)
     publisher.publish(b"x")
@@ -44,7 +47,7 @@ def test_a_publisher_made_before_its_subscriber_reaches_it(bus):
 
 
 def test_envelopes_tell_publisher_number_and_time(bus, clock):
-    received = []
+    received: list[Delivery] = []
     bus.subscribe("key", received.append)
     first, second = bus.publisher("key"), bus.publisher("key")
     first.publish(b"a")
@@ -58,7 +61,7 @@ def test_envelopes_tell_publisher_number_and_time(bus, clock):
 
 
 def test_forwarding_keeps_the_envelope_of_the_sender(bus):
-    received = []
+    received: list[Delivery] = []
     bus.subscribe("key", received.append)
     publisher = bus.publisher("key")
     delivery = Delivery(b"x", Envelope(77, 9, 123, 4))
@@ -68,7 +71,7 @@ def test_forwarding_keeps_the_envelope_of_the_sender(bus):
 
 
 def test_a_closed_bus_delivers_nothing_to_new_publishers(bus):
-    received = []
+    received: list[Delivery] = []
     bus.subscribe("key", received.append)
     bus.close()
     bus.publisher("key").publish(b"x")

@@ -24,7 +24,8 @@ from shared.robots import CATALOGUE
 
 MS = 1_000_000
 # Digests and identities of published trials are of these: they are not to change by themselves.
-DEFAULT, WALK = {}, {"task": "walk"}
+DEFAULT: dict[str, str] = {}
+WALK = {"task": "walk"}
 
 
 def refusal(**overrides):

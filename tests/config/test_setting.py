@@ -79,19 +79,24 @@ def test_bounds_themselves_are_allowed(key, value):
     KNOWN[key].check(key, value)
 
 
-@pytest.fixture
-def given():
-    parser = Parser(prog="room")
-    flagged = {key: each for key, each in KNOWN.items() if each.flag}
-    for each in flagged.values():
-        _add_flag(parser, each)
+FLAGGED = {key: each for key, each in KNOWN.items() if each.flag}
 
+
+@pytest.fixture
+def parser():
+    parser = Parser(prog="room")
+    for each in FLAGGED.values():
+        _add_flag(parser, each)
+    return parser
+
+
+@pytest.fixture
+def given(parser):
     def parse(*words):
         arguments = parser.parse_args(words)
-        values = {key: _given(arguments, key, each) for key, each in flagged.items()}
+        values = {key: _given(arguments, key, each) for key, each in FLAGGED.items()}
         return {key: value for key, value in values.items() if value is not None}
 
-    parse.help = parser.format_help()
     return parse
 
 
@@ -111,9 +116,10 @@ def test_a_list_is_either_none_or_what_it_has(given):
         given("--flash", "1s", "--flash", "none")
 
 
-def test_the_help_tells_what_a_setting_is_with_its_unit_or_words(given):
-    assert "at 100 % [W]" in given.help
-    assert "it has; one of red, green" in given.help
+def test_the_help_tells_what_a_setting_is_with_its_unit_or_words(parser):
+    told = parser.format_help()
+    assert "at 100 % [W]" in told
+    assert "it has; one of red, green" in told
 
 
 def test_a_default_is_a_value_that_its_setting_can_have():

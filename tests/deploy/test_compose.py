@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -22,8 +23,9 @@ HUB = "telemetry"
 
 
 @pytest.fixture(scope="module")
-def compose() -> dict:
-    return yaml.safe_load((DEPLOY / "compose.yaml").read_text())
+def compose() -> dict[str, Any]:
+    read: dict[str, Any] = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
+    return read
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,7 @@ def dockerfile() -> str:
     return (DEPLOY / "Dockerfile").read_text().replace("\\\n", "")
 
 
-def networks(compose: dict, name: str) -> set[str]:
+def networks(compose: dict[str, Any], name: str) -> set[str]:
     return set(compose["services"][name]["networks"])
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -108,7 +109,7 @@ def test_a_router_beside_its_edge_starts_first_and_listens_for_the_robot():
     ("only", "port"), [("edge", 7460), ("netem", 7461), ("router", 7447), ("edge,netem", 7461)]
 )
 def test_without_certificates_nobody_else_is_let_in_unless_told(only, port):
-    far = {"edge": "tcp/127.0.0.1:1"} if only == "netem" else {}
+    far: dict[str, Any] = {"edge": "tcp/127.0.0.1:1"} if only == "netem" else {}
     plan = plan_of(only, **far)
     assert f"--listen tcp/127.0.0.1:{port}" in " ".join(commands(plan).values())
     assert "for this machine only" in plan.notes[-1]

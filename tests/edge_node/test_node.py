@@ -71,7 +71,10 @@ def test_torque_and_solution_are_those_of_the_projector_sent(
     stack = stacks[ContactMode.DOUBLE_SUPPORT]
     for k, (q, v) in enumerate(states[:10]):
         edge.receive(codec.encode_state(make_state(robot, sequence=k, q=q, v=v)))
-        message = codec.decode_projector(edge.step().data)
+        answer = edge.step()
+        assert answer is not None
+        assert answer.data is not None
+        message = codec.decode_projector(answer.data)
         b = stack.right_hand_side(model.kinematics(q, v), motion.reference(0))
         y = message.projectors[0].projector.apply(b)
         np.testing.assert_array_equal(message.y, y)
@@ -300,7 +303,10 @@ def test_damping_is_in_what_is_sent(robot, motion, configured, stacks, model, st
     codec, edge = Codec(robot, config, motion), EdgeNode(robot, config, motion)
     edge.receive(state(0, held_sequences=NOTHING_HELD))
     q = robot.q_standing
-    for each in codec.decode_factorisations(edge.step().data).factorisations:
+    answer = edge.step()
+    assert answer is not None
+    assert answer.data is not None
+    for each in codec.decode_factorisations(answer.data).factorisations:
         matrices = stacks[each.mode].matrices(model.jacobians(q))
         damped = factorise_kkt(stacks[each.mode], matrices, q[7:], damping=0.05)
         undamped = factorise_kkt(stacks[each.mode], matrices, q[7:])

@@ -78,7 +78,9 @@ def test_a_map_has_a_square_for_each_pair_of_values(finished, figure, tmp_path):
 def test_falls_are_counted_like_those_standing(finished, figure, tmp_path):
     out = tmp_path / "falls.png"
     assert figure(finished, "--x", "plant.friction", "--y", "fell", "--out", out) == 0
-    assert _value([{"fell": True, "error": None}, {"fell": None, "error": "no"}], FELL)[2] == "1/1"
+    counted = _value([{"fell": True, "error": None}, {"fell": None, "error": "no"}], FELL)
+    assert counted is not None
+    assert counted[2] == "1/1"
     assert _value([{"fell": None, "error": "no"}], FELL) is None
 
 

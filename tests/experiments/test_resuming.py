@@ -69,10 +69,13 @@ class Oracle:
         trial = self._waiting.pop(self._order.randrange(len(self._waiting)))
         at, label = trial.config.loop.edge_compute_ns, trial.label
         self.played.append((label["controller"], label["seed"], at))
-        summary, error = {"fell": at > ENDS[label["controller"]][label["seed"]], "at": at}, None
-        if self.played[-1] in self._broken:
-            summary, error = None, "Error: x"
-        return trial, {"summary": summary, "error": error, "wall_seconds": 0.0}
+        fell = at > ENDS[label["controller"]][label["seed"]]
+        broken = self.played[-1] in self._broken
+        return trial, {
+            "summary": None if broken else {"fell": fell, "at": at},
+            "error": "Error: x" if broken else None,
+            "wall_seconds": 0.0,
+        }
 
 
 @pytest.fixture

@@ -103,8 +103,8 @@ def test_robots_of_one_kind_with_names_of_their_own_do_not_hear_each_other(
     for name in ("amy", "ben"):
         start("edge_node", "--connect", endpoints[0], "--name", name).wait_for("READY")
     for name in ("amy", "ben"):
-        flags = ("--connect", endpoints[0], "--name", name, "--out", str(tmp_path / name))
-        flags = (*flags, "--controller", "lc", "--duration", "3600", "--push", "none")
+        flags = ["--connect", endpoints[0], "--name", name, "--out", str(tmp_path / name)]
+        flags += ["--controller", "lc", "--duration", "3600", "--push", "none"]
         watched = hub()
         robots.append((name, start("robot_node", *flags, "--telemetry", watched.endpoint), watched))
     for _, robot, _ in robots:

@@ -260,8 +260,12 @@ def test_bad_messages_on_the_robots_key_are_counted_and_have_no_effect(
             for data in (b"garbage", b"", bytes(50_000)):
                 stranger.forward(Delivery(data, envelope=None))
             refused += 3
+
+            def counted(expected: float = refused) -> bool:
+                return watched.last("refused") >= expected
+
             until(
-                lambda expected=refused: watched.last("refused") >= expected,
+                counted,
                 lambda: f"{watched.last('refused'):.0f} refused:\n{robot.output}",
             )
         # Should others have been refused meanwhile, the last of these may be on their way.

@@ -49,7 +49,7 @@ class Planned:
         return np.arange(0.0, self.mpc.duration, period)
 
 
-@pytest.fixture(scope="module", params=WALKS.values(), ids=WALKS)
+@pytest.fixture(scope="module", params=list(WALKS.values()), ids=list(WALKS))
 def planned(request, robot):
     return Planned(robot, request.param)
 

@@ -28,7 +28,7 @@ PLANS = {
 }
 
 
-@pytest.fixture(params=PLANS.values(), ids=PLANS)
+@pytest.fixture(params=list(PLANS.values()), ids=list(PLANS))
 def config(request):
     return request.param
 
@@ -48,11 +48,11 @@ def support_polygon(robot, walking, time_ns):
     soles = {foot.side: foot.corners()[:, :2] for foot in robot.description.feet}
     phase = walking._phase(time_ns)
     if phase.step is None:
-        step, prints = walking.steps[0], (walking.steps[0].support, walking.steps[0].start)
+        prints = [walking.steps[0].support, walking.steps[0].start]
     else:
         step = phase.step
         double = phase.mode is ContactMode.DOUBLE_SUPPORT
-        prints = (step.support, step.goal) if double else (step.support,)
+        prints = [step.support, step.goal] if double else [step.support]
     return np.array([each.to_world(tuple(c)) for each in prints for c in soles[each.foot]])
 
 

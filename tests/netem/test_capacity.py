@@ -40,7 +40,9 @@ def test_a_queue_is_that_of_a_byte_by_byte_simulation(capacity, sizes):
     delays = replay(link(capacity), sizes)
     # A server that takes one hundredth of a period at a time, the profile repeated for as long
     # as it takes: it can be late by one such part, and a byte that is shared by two.
-    part, waiting, left, now = 100, [], {}, 0
+    waiting: list[list[float]] = []
+    left: dict[float, int] = {}
+    part, now = 100, 0
     while len(left) < len(sizes):
         period, within = divmod(now, part)
         if within == 0 and period < len(sizes):

@@ -11,14 +11,13 @@ from shared.output.report import (
     discrepancy_report,
     edge_report,
     link_report,
-    log_hash,
     merge,
-    quantiles,
     robot_report,
     summary,
     summary_in_words,
 )
 from shared.output.versions import versions
+from shared.telemetry.metrics import log_hash, quantiles
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, tick_schema
 
 SCHEMA = tick_schema(nq=38, nv=37)

@@ -9,7 +9,6 @@ import pytest
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError, LinkError, MessageRefused, ProfileError, UserError
 from shared.process.cli import (
-    EXIT_ERROR,
     EXIT_FELL,
     EXIT_STANDING,
     Parser,
@@ -18,7 +17,7 @@ from shared.process.cli import (
     config_from,
     run,
 )
-from shared.process.entry import python
+from shared.process.entry import EXIT_ERROR, python
 from tests.processes import PATIENCE_SECONDS
 
 

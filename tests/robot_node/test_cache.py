@@ -7,8 +7,8 @@ import pytest
 
 from robot_node.cache import CacheEntry, FactorisationCache, ProjectorCache
 from shared.wbc.contacts import ContactMode
+from shared.wbc.whole_body import TimedProjector
 from shared.wire.codec import Codec
-from shared.wire.messages import TimedProjector
 from tests.messages import (
     FOR_EVER_NS,
     make_answer,

@@ -16,8 +16,8 @@ from shared.motion.plan import make_motion
 from shared.telemetry.schema import Source
 from shared.wbc.contacts import ContactMode
 from shared.wbc.torque import recover_torque
+from shared.wbc.whole_body import TimedProjector
 from shared.wire.codec import Codec
-from shared.wire.messages import TimedProjector
 from tests.messages import make_answer, make_projector
 
 SESSION = 5
@@ -88,16 +88,17 @@ def test_locally_assisted_applies_the_projector_to_a_fresh_b(
     b = stack.right_hand_side(model.kinematics(*now), reference)
     y = answer.projectors[0].projector.A_dagger @ b
     np.testing.assert_array_equal(decision.y, y)
-    expected = recover_torque(model, stack.contacts, *now, y)
+    q, v = now
+    expected = recover_torque(model, stack.contacts, q, v, y)
     np.testing.assert_array_equal(decision.tau, expected)
 
 
 def test_locally_assisted_does_not_use_the_torque_received(parts, codec, answer, now, reference):
-    decisions = []
+    decisions, (q, v) = [], now
     for other in (answer, dataclasses.replace(answer, tau=np.zeros(31), y=np.zeros(61))):
         controller = LocallyAssisted(parts)
         offer(controller, codec, other)
-        controller.observe(*now, reference)
+        controller.observe(q, v, reference)
         decisions.append(controller.command(time_ns=0))
     np.testing.assert_array_equal(decisions[0].tau, decisions[1].tau)
     np.testing.assert_array_equal(decisions[0].y, decisions[1].y)

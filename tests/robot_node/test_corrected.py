@@ -92,7 +92,12 @@ def test_from_the_first_answer_on_commands_are_corrected(bench):
 
 def test_one_answer_is_all_that_a_standing_robot_is_sent(bench):
     answers = []
-    bench().run(50, deliver=lambda answer: answers.append(answer) or [answer])
+
+    def deliver(answer):
+        answers.append(answer)
+        return [answer]
+
+    bench().run(50, deliver=deliver)
     assert len(answers) == 1
 
 
@@ -261,7 +266,9 @@ class ByHand:
             a, f = np.split(iterate.y, [self.model.nv])
             now = self.model.kinematics(self.q, self.v, a, stack.contacts.wrenches(f))
             residual = stack.right_hand_side(now, reference)
-            iterate, _ = self.correctors[reference.mode].step(iterate, residual, self.model, now)
+            step = self.correctors[reference.mode].step(iterate, residual, self.model, now)
+            assert step is not None
+            iterate = step[0]
         return iterate
 
 

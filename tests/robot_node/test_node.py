@@ -12,8 +12,8 @@ from robot_node.node import RobotNode
 from robot_node.safety import JointHold, TorqueGuard
 from robot_node.tick import Tick
 from shared.telemetry.schema import Source
+from shared.wbc.whole_body import TimedProjector
 from shared.wire.codec import Codec
-from shared.wire.messages import TimedProjector
 from tests.messages import altered, make_state
 from tests.robot_node.bench import DEADLINE_NS, MS, SESSION, Bench, nothing
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,7 +46,7 @@ class Solver:
         return TimedProjector(projector, time_ns, 2**62)
 
 
-class Kept(list):
+class Kept(list[Any]):
     """Stands for the cache of projectors: what it was given."""
 
     keep = list.append
@@ -56,9 +57,10 @@ def play(motion, until_ms, **settings):
     config = dataclasses.replace(SwitchConfig(compute_time_scale=1.0), **settings)
     solver = Solver()
     computer = ModelledComputer(solver, ready_after_ns=config.ready_after_ns(config.compute_ns))
-    cache = Kept()
+    cache: Any = Kept()
     window = OnBoardWindow(config, motion, computer, cache)
-    solves, ready = [], []
+    solves: list[tuple[int, float]] = []
+    ready: list[tuple[int, int]] = []
     for tick in range(until_ms):
         window.tick(np.zeros(1), np.zeros(1), time_ns=tick * MS, sequence=tick, stamp_ns=tick * MS)
         if len(solver.asked_for) > len(solves):
@@ -128,7 +130,7 @@ def test_without_a_switch_nothing_is_ever_solved():
     assert play(Switches(), 200)[0] == []
 
 
-class Held(list):
+class Held(list[Any]):
     """Stands for the cache of factorisations: (sequence, on board) of what it was given."""
 
     def keep(self, factorisations, *, sequence, stamp_ns, on_board):
@@ -142,7 +144,7 @@ def refresh(wanted, *, until_ms=400, budget=0.1):
         correction=CorrectionConfig(on_board_budget=budget),
     )
     computer = ModelledComputer(lambda q, v, mode: (ContactMode(mode),), ready_after_ns=2 * MS)
-    cache = Held()
+    cache: Any = Held()
     window = OnBoardRefresh(config, computer, cache, lambda: LEFT if wanted(tick) else None)
     for tick in range(until_ms):
         window.tick(np.zeros(1), np.zeros(1), time_ns=tick * MS, sequence=tick, stamp_ns=0)

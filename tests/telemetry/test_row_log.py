@@ -90,7 +90,7 @@ def test_closing_twice_does_no_harm(tmp_path):
 
 
 def test_blocks_are_published_in_order_and_whole():
-    received = []
+    received: list[bytes] = []
     log = RowLog(SCHEMA, publish=received.append)
     fill(log, 2 * BLOCK_ROWS + 7).close()
     blocks = [decode_rows(data)[1] for data in received]
@@ -100,7 +100,11 @@ def test_blocks_are_published_in_order_and_whole():
 
 def test_filling_rows_does_not_wait_for_whoever_is_published_to():
     released = threading.Event()
-    log = RowLog(SCHEMA, publish=lambda data: released.wait(120.0))
+
+    def publish(data: bytes) -> None:
+        released.wait(120.0)
+
+    log = RowLog(SCHEMA, publish=publish)
     started = time.monotonic()
     fill(log, 5 * BLOCK_ROWS)
     # The subscriber sleeps for 120 s; rows take microseconds.
@@ -198,7 +202,7 @@ def test_the_robots_rows_survive_parquet(tmp_path, rng):
 
 @pytest.mark.parametrize("at_most", [0, 3, BLOCK_ROWS, BLOCK_ROWS + 3])
 def test_a_file_that_is_full_takes_no_more_rows_and_watchers_see_them_all(tmp_path, at_most):
-    received = []
+    received: list[bytes] = []
     count = 2 * BLOCK_ROWS + 7
     log = RowLog(SCHEMA, path=tmp_path / "x", publish=received.append, at_most=at_most)
     fill(log, count).close()
@@ -209,7 +213,7 @@ def test_a_file_that_is_full_takes_no_more_rows_and_watchers_see_them_all(tmp_pa
 
 def test_rows_that_cannot_be_written_are_watched_and_the_reason_is_kept(tmp_path):
     (tmp_path / "x").symlink_to("/dev/full")
-    received = []
+    received: list[bytes] = []
     log = RowLog(SCHEMA, path=tmp_path / "x", publish=received.append)
     fill(log, 2 * BLOCK_ROWS + 7).close()
     assert log.failure is not None

@@ -115,7 +115,8 @@ def test_products_with_transposed_rows_are_those_of_the_explicit_matrices(model,
 def test_each_kind_of_row_enters_such_a_product_by_itself(model, states, rng, rows):
     q = states[6].q
     # What was asked of the model before is forgotten.
-    model.transposed(q, RowMultipliers(np.ones(6), np.ones(3), dict.fromkeys(Foot, np.ones(6)), 0))
+    soles = dict.fromkeys(Foot, np.ones(6))
+    model.transposed(q, RowMultipliers(np.ones(6), np.ones(3), soles, np.zeros(model.nv)))
     jacobians, multipliers = model.jacobians(q), RowMultipliers.zero(model.nv)
     matrix = {
         "dynamics": jacobians.M_unactuated,

@@ -16,7 +16,7 @@ import pytest
 from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import Projector, condense, factorise, full_problem, solve
 from shared.wbc.qp import DaqpSolver, ProxsuiteSolver, QpStatus
-from shared.wbc.stack import Stack
+from shared.wbc.stack import Stack, StackMatrices
 from tests.wbc.kkt import are_independent, kkt
 
 # The requirement. Measured over 240 states per mode: 5e-11 against the full QP (condition 2e4 of
@@ -31,7 +31,7 @@ class Case:
     """One state with its rows."""
 
     stack: Stack
-    matrices: object
+    matrices: StackMatrices
     b: np.ndarray
 
     def solve(self, solver=None):

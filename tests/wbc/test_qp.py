@@ -18,7 +18,10 @@ from shared.wbc.qp import (
 )
 from tests.wbc.kkt import are_independent, kkt, solution_of_active_set
 
-SOLVERS = {"daqp": DaqpSolver, "proxsuite": ProxsuiteSolver}
+SOLVERS: dict[str, type[DaqpSolver | ProxsuiteSolver]] = {
+    "daqp": DaqpSolver,
+    "proxsuite": ProxsuiteSolver,
+}
 # Worst of 3000 such problems. The dual active-set method ends at a vertex of its working set:
 # 6e-13, rounding. The augmented Lagrangian stops at its accuracy of 1e-9, and without a check of
 # the duality gap leaves an active row a little off its bound: 3e-5. Its x is not used, its active

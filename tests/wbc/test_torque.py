@@ -59,6 +59,6 @@ def test_torque_is_a_copy_that_a_later_call_does_not_change(model, stack, states
     (q, v), y = states[0], rng.standard_normal(stack.layout.n_unknowns)
     tau = recover_torque(model, stack.contacts, q, v, y)
     before = tau.copy()
-    recover_torque(model, stack.contacts, *states[3], 2.0 * y)
+    recover_torque(model, stack.contacts, states[3].q, states[3].v, 2.0 * y)
     np.testing.assert_array_equal(tau, before)
     assert tau.shape == (31,)

@@ -12,9 +12,9 @@ from hypothesis.extra import numpy as hnp
 
 from shared.errors import ConfigError
 from shared.wbc.contacts import ContactMode
+from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.codec import Codec
-from shared.wire.messages import TimedProjector
 from tests.messages import make_answer, make_projector, make_state
 
 MODES = list(ContactMode)

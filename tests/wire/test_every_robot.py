@@ -9,9 +9,9 @@ from shared.motion.standing import Standing
 from shared.robots import CATALOGUE, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.stack import Stack
+from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.codec import Codec
-from shared.wire.messages import TimedProjector
 from tests.messages import make_answer, make_correction, make_projector, make_state
 
 

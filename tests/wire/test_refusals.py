@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from shared.errors import MessageRefused
 from shared.wbc.contacts import ContactMode
+from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.codec import Codec
-from shared.wire.messages import TimedProjector
 from tests.messages import altered, make_answer, make_projector, make_state
 from tests.wire.refusing import NOT_FINITE, flip, outcome, poison, reason_of
 

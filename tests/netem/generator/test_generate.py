@@ -32,7 +32,7 @@ queues = st.integers(20, 300)
 def brute_force(capacity, size, queue_bytes):
     """A byte at a time, from the head of the queue; when the last of each message leaves."""
     left = [np.nan] * len(capacity)
-    waiting = deque()
+    waiting: deque[int] = deque()
     for k, carried in enumerate(capacity):
         if len(waiting) + size <= queue_bytes:
             waiting.extend([k] * size)

@@ -16,7 +16,9 @@ MS = 1_000_000
 
 def queue_by_bytes(trace, sent_ms, size, bound):
     """Delay of each message [ms], None if lost: a queue emptied byte by byte, 1500 at a time."""
-    cycle, queue, delays = trace[-1], deque(), [None] * len(sent_ms)
+    cycle = trace[-1]
+    queue: deque[list[int]] = deque()
+    delays: list[int | None] = [None] * len(sent_ms)
     arrivals = deque(enumerate(sent_ms))
     backlog, now = 0, 0
     while arrivals or queue:

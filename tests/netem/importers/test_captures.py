@@ -69,7 +69,8 @@ def test_a_datagram_has_arrived_with_its_last_fragment(convert, sample):
     robot_side, edge_side = sample("s1u_gnb_gtpu.pcap"), sample("sgi_remotehost_dl.pcap")
     profile = convert(robot_side, edge_side)
     # PPP (2 bytes), and at the base station IP (20), UDP (8) and GTP (12) around the packet.
-    sent, arrived = {}, {}
+    sent: dict[tuple[bytes, int], int] = {}
+    arrived: dict[tuple[bytes, int], int] = {}
     for records_of, skipped, times, pick in (
         (records(edge_side), 2, sent, min),
         (records(robot_side), 42, arrived, max),

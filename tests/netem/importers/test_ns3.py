@@ -17,7 +17,7 @@ def rows_of(path):
 
 def longest_by_millisecond(path, rnti="1"):
     """Per whole ms of sending the longest DELAY [ns], by the decimal digits of the file."""
-    longest = {}
+    longest: dict[int, int] = {}
     for kind, time, _, _, row_rnti, lcid, _, delay, *_ in rows_of(path):
         if kind == "Rx" and int(lcid) >= 3 and row_rnti == rnti:
             sent_ms = (Decimal(time) - Decimal(delay) / 10**9) * 1000
@@ -195,7 +195,7 @@ def test_hours_of_delay_are_refused(refused, written, delay):
 def test_transport_blocks_become_the_bytes_carried_in_each_millisecond(convert, sample):
     trace = sample("RxPacketTrace.txt")
     profile = convert(sample("UlPdcpStats_perpacket.txt"), "--other-way", "same", "--phy", trace)
-    carried = {"DL": {}, "UL": {}}
+    carried: dict[str, dict[int, int]] = {"DL": {}, "UL": {}}
     for way, time, *cells in rows_of(trace):
         # Packets leave on the millisecond: a period begins half a millisecond before.
         key = int(Decimal(time) * 1000 + Decimal("0.5"))

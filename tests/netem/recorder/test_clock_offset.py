@@ -98,6 +98,7 @@ def test_the_truth_lies_within_the_uncertainty_whatever_the_asymmetry(lead, drif
     # At the instant of the least round trip, whenever it was; beside it a wrong drift adds.
     first, last = errors_ns(clock, far, np.array([0, (max(len(up), len(down)) + 4) * 100 * MS]))
     smallest = 0 if first * last < 0 else min(abs(first), abs(last))
+    assert clock.uncertainty_ns is not None
     assert smallest <= clock.uncertainty_ns + 2
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from netem.recorder.record_loops import Arrivals
+from netem.recorder.record_loops import Arrival, Arrivals
 from shared.bus.base import Delivery, Envelope
 from shared.bus.zenoh_bus import machine_clock
 
@@ -16,7 +16,8 @@ def envelope(clock):
 
 
 def test_arrivals_are_read_in_order_with_the_time_they_came():
-    arrivals, read = Arrivals(read=3), []
+    arrivals = Arrivals(read=3)
+    read: list[Arrival] = []
     before_ns = time.monotonic_ns()
     for data in (b"first", b"second"):
         arrivals.put(Delivery(data, None))
@@ -28,7 +29,8 @@ def test_arrivals_are_read_in_order_with_the_time_they_came():
 
 
 def test_a_late_loop_reads_one_message_and_goes_on():
-    arrivals, read = Arrivals(read=None), []
+    arrivals = Arrivals(read=None)
+    read: list[Arrival] = []
     for data in (b"a", b"b", b"c"):
         arrivals.put(Delivery(data, None))
     arrivals.read_until(time.monotonic_ns(), read.append)
@@ -36,7 +38,8 @@ def test_a_late_loop_reads_one_message_and_goes_on():
 
 
 def test_a_sender_on_this_machine_is_known_by_its_clock():
-    arrivals, read = Arrivals(read=None), []
+    arrivals = Arrivals(read=None)
+    read: list[Arrival] = []
     ours = machine_clock()
     for sender in (envelope(ours), envelope(ours + 1), None):
         arrivals.put(Delivery(b"", sender))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,12 +37,13 @@ class Simulation:
         self._lead_ns, self._drift_ppm, self._one_clock = lead_ns, drift_ppm, one_clock
         self._late_ns = late_ns
         rng = np.random.default_rng(5)
-        options = {"keep_order": False, **cable}
-        self._lines = [
+        options: dict[str, Any] = {"keep_order": False, **cable}
+        self._lines: list[DelayLine[bytes]] = [
             DelayLine(profile, way, start_ns=EPOCH, rng=rng, **options)
             for way in (UPLINK, DOWNLINK)
         ]
-        self._events = [(EPOCH, 0, "near", 0)]
+        # When, in which order, what (an end that is due, or a message on its way), which number.
+        self._events: list[tuple[int, int, str | int, int]] = [(EPOCH, 0, "near", 0)]
         self._pushed = 1
 
     def run(self, *, periods):
