@@ -19,7 +19,7 @@ from netem.generator.channel import BUILDING, SCENARIOS
 from netem.generator.generate import generate_set
 from netem.profile import DelayProfile
 from netem.statistics import LINKS
-from shared.process.cli import Command, run, run_command
+from shared.process.cli import Subcommand, run, run_command
 
 MS = 1_000_000
 # One seed, not one per scenario until it fits; `docs/results/network-model.txt` has twelve more.
@@ -37,7 +37,7 @@ def both(request):
 def command(monkeypatch, tmp_path):
     """`calibrate` over a few runs only, its files in a folder of the test."""
     monkeypatch.setattr(calibration, "ns3_runs", lambda scenario: ns3_runs(scenario)[:4])
-    commands = (Command("calibrate", "", add_calibrate_arguments, run_calibrate),)
+    commands = (Subcommand("calibrate", "", add_calibrate_arguments, run_calibrate),)
 
     def call(*flags):
         flags = ("--out", str(tmp_path / "f.png"), "--table", str(tmp_path / "t.txt"), *flags)

@@ -21,7 +21,7 @@ from netem.generator.queueing import delays_ns, departures
 from netem.profile import DIRECTIONS, DOWNLINK, LOST, UPLINK
 from netem.profile_file import read_profile
 from shared.errors import ConfigError
-from shared.process.cli import Command, run, run_command
+from shared.process.cli import Subcommand, run, run_command
 
 MS = 1_000_000
 capacities = st.lists(st.integers(0, 50), min_size=1, max_size=30).map(np.array)
@@ -210,7 +210,7 @@ def test_a_message_too_large_for_any_link_is_refused():
 @pytest.fixture
 def command(monkeypatch):
     """The command line, run to its end."""
-    commands = (Command("generate", "", add_generate_arguments, run_generate),)
+    commands = (Subcommand("generate", "", add_generate_arguments, run_generate),)
 
     def call(*flags):
         monkeypatch.setattr("sys.argv", ["netem", "generate", *flags])
