@@ -1,4 +1,4 @@
-"""The beginning of every command: `begin(__name__)` stands before all other imports of its module.
+"""The command `wbc`, and the beginning of every command: `begin(__name__)`, before other imports.
 
 This module is at the top because its name is the project's own: a folder `shared` or `deploy` of
 the caller's, or one in PYTHONPATH, may hide ours until `begin` has returned.
@@ -9,6 +9,18 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    import argparse
+
+    from shared.process.cli import Group, Subcommand
+
+__version__ = "0.1.0"
+_DESCRIPTION = (
+    "Whole-body control from the edge, over a link that stalls. Each command has a --help; "
+    "./deploy/… and python -m … are other ways to say the same."
+)
 
 
 def begin(name: str) -> None:
@@ -39,3 +51,54 @@ def _not_installed() -> int:
         file=sys.stderr,
     )
     return 2
+
+
+def main() -> NoReturn:
+    """The command `wbc`."""
+    begin("__main__")
+    from shared.process.cli import run, run_command
+
+    run(lambda: run_command(_DESCRIPTION, commands(), version=__version__))
+
+
+def add_completion_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("shell", choices=("bash", "zsh"))
+    parser.description = (
+        'Print what completes wbc in a shell: eval "$(wbc completion bash)" in ~/.bashrc, or '
+        "wbc completion zsh > _wbc in a folder of $fpath."
+    )
+
+
+def run_completion(arguments: argparse.Namespace) -> int:
+    """Print the script; 0."""
+    import shtab
+
+    from shared.process.cli import command_parser
+
+    parser = command_parser(_DESCRIPTION, commands(), version=__version__)
+    parser.prog = "wbc"
+    print(shtab.complete(parser, arguments.shell))
+    return 0
+
+
+def commands() -> list[Subcommand | Group]:
+    """Everything that `wbc` can do."""
+    from benchmarks.__main__ import COMMANDS as BENCHMARKS
+    from deploy.__main__ import COMMANDS as DEPLOY
+    from experiments.__main__ import COMMANDS as EXPERIMENTS
+    from netem.__main__ import COMMANDS as NETEM
+    from shared.process.cli import Group, Subcommand
+    from viewer.__main__ import COMMANDS as VIEWER
+
+    return [
+        *DEPLOY,
+        *EXPERIMENTS,
+        Group("netem", "the emulated link: profiles, importers, the shim", NETEM),
+        Group("viewer", "watch a run, or runs that are over", VIEWER),
+        Group("bench", "speed and exactness on this machine", BENCHMARKS),
+        Subcommand("completion", "completion for bash or zsh", "remote_wbc"),
+    ]
+
+
+if __name__ == "__main__":
+    main()

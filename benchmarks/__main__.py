@@ -6,100 +6,22 @@ from remote_wbc import begin
 
 begin(__name__)
 
-import argparse
-import signal
-import sys
+from shared.process.cli import Subcommand, run, run_command
 
-from benchmarks import capacity, core, lockstep, netem, viewer
-from benchmarks.real_path.measure import add_real_path_arguments, run_real_path
-from shared.errors import ConfigError
-from shared.process.cli import EXIT_STANDING, Subcommand, run, run_command
-
-
-def _add_core_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repetitions", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-
-
-def _run_core(arguments: argparse.Namespace) -> int:
-    if arguments.repetitions < 1:
-        raise ConfigError(f"--repetitions: expected at least 1, got {arguments.repetitions}")
-    print(core.run(repetitions=arguments.repetitions, seed=arguments.seed))
-    return EXIT_STANDING
-
-
-def _add_netem_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement")
-
-
-def _run_netem(arguments: argparse.Namespace) -> int:
-    # The shim logs 3.6 million messages.
-    if not 1.0 <= arguments.seconds <= 1200.0:
-        raise ConfigError(f"--seconds: expected 1 to 1200, got {arguments.seconds:g}")
-    # A termination leaves no processes behind, nor namespaces.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    print(netem.run(seconds=arguments.seconds))
-    return EXIT_STANDING
-
-
-def _add_capacity_arguments(parser: argparse.ArgumentParser) -> None:
-    del parser
-
-
-def _run_capacity(arguments: argparse.Namespace) -> int:
-    del arguments
-    print(capacity.run())
-    return EXIT_STANDING
-
-
-def _add_lockstep_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repetitions", type=int, default=3, help="of each trial; 3")
-    parser.add_argument("--seconds", type=float, help="of each trial; default: all of it")
-
-
-def _run_lockstep(arguments: argparse.Namespace) -> int:
-    if arguments.repetitions < 1:
-        raise ConfigError(f"--repetitions: expected at least 1, got {arguments.repetitions}")
-    if arguments.seconds is not None and not 0.1 <= arguments.seconds <= 3600.0:
-        raise ConfigError(f"--seconds: expected 0.1 to 3600, got {arguments.seconds:g}")
-    print(lockstep.run(repetitions=arguments.repetitions, seconds=arguments.seconds))
-    return EXIT_STANDING
-
-
-def _add_viewer_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repetitions", type=int, default=5, help="of each run; 5")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each run; 10")
-
-
-def _run_viewer(arguments: argparse.Namespace) -> int:
-    if arguments.repetitions < 1:
-        raise ConfigError(f"--repetitions: expected at least 1, got {arguments.repetitions}")
-    # The viewer is disturbed after two seconds.
-    if not 3.0 <= arguments.seconds <= 600.0:
-        raise ConfigError(f"--seconds: expected 3 to 600, got {arguments.seconds:g}")
-    # A termination leaves no processes behind.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    print(viewer.run(seconds=arguments.seconds, repetitions=arguments.repetitions))
-    return EXIT_STANDING
-
-
-_COMMANDS = (
-    Subcommand("capacity", "recorded delays given back", _add_capacity_arguments, _run_capacity),
-    Subcommand("core", "where the time goes", _add_core_arguments, _run_core),
-    Subcommand("lockstep", "speed of a trial", _add_lockstep_arguments, _run_lockstep),
-    Subcommand("netem", "how exactly the link is emulated", _add_netem_arguments, _run_netem),
+COMMANDS = (
+    Subcommand("capacity", "recorded delays given back", "benchmarks.commands"),
+    Subcommand("core", "where the time goes", "benchmarks.commands"),
+    Subcommand("lockstep", "speed of a trial", "benchmarks.commands"),
+    Subcommand("netem", "how exactly the link is emulated", "benchmarks.commands"),
     Subcommand(
-        "real-path",
-        "two namespaces and a slow cable, as root",
-        add_real_path_arguments,
-        run_real_path,
+        "real-path", "two namespaces and a slow cable, as root", "benchmarks.real_path.measure"
     ),
-    Subcommand("viewer", "whether watching disturbs the robot", _add_viewer_arguments, _run_viewer),
+    Subcommand("viewer", "whether watching disturbs the robot", "benchmarks.commands"),
 )
 
 
 def main() -> int:
-    return run_command("benchmarks", __doc__, _COMMANDS)
+    return run_command(__doc__, COMMANDS, group="bench")
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ import numpy as np
 from shared.bus.base import Delivery, Inbox, Publisher
 from shared.bus.zenoh_bus import ZenohBus
 from shared.clock import Ticker, sleep_until
+from shared.commands import python_module
 from shared.config.settings import RobotConfig
 from shared.process.cli import EXIT_STANDING, Parser, run
 from shared.process.realtime import prepare, suspend_garbage_collection
@@ -72,7 +73,7 @@ class Arrivals:
 
 
 def main() -> int:
-    parser = Parser(prog="benchmarks.link_end", description=__doc__)
+    parser = Parser(prog=python_module("benchmarks.link_end"), description=__doc__)
     parser.add_argument("end", choices=sorted(_PRIORITIES))
     parser.add_argument("--endpoint", required=True, help="the near end dials it, the far listens")
     parser.add_argument("--bytes", type=int, required=True, help="of each message sent")

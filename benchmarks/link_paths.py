@@ -1,6 +1,6 @@
 """What can stand between the two ends of a link under test, as contexts.
 
-`direct` nothing, `shim` the real `python -m netem replay`, `packets` the packet-level shim,
+`direct` nothing, `shim` the real `./wbc netem replay`, `packets` the packet-level shim,
 `kernel` the kernel's own emulation, `tc … netem`, where the machine has it.
 """
 

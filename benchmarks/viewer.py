@@ -154,7 +154,7 @@ def read_ticks(file: Path) -> Ticks:
 @contextmanager
 def _up(case: Case, folder: Path, *, seconds: float) -> Iterator[subprocess.Popen[bytes]]:
     """`./deploy/up` into `folder`/run, its output into `folder`/said; ended with the context."""
-    command = python("-m", "deploy.up", "--network", _NETWORK, "--controller", "la")
+    command = python("-m", "deploy", "up", "--network", _NETWORK, "--controller", "la")
     command += ["--push", "none", "--duration", f"{seconds:g}", "--view", case.view]
     command += ["--out", str(folder / "run")]
     with (folder / "said").open("wb") as output:
@@ -217,7 +217,7 @@ def _table(played: dict[Case, list[Ticks]]) -> list[str]:
                 case.name,
                 *(
                     _spanned([getattr(ticks, name) for ticks in runs], digits=3)
-                    for name in ("p50", "p99", "most", "late_p99")
+                    for name in ("p50", "p99", "maximum", "late_p99")
                 ),
                 _spanned([ticks.overruns for ticks in runs], digits=0),
                 _spanned(ratios.tolist(), digits=2),

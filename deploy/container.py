@@ -20,6 +20,7 @@ from pathlib import Path
 
 from deploy.services import FAILURE, Service, load_services
 from deploy.supervisor import Launch, Supervisor
+from shared.commands import python_module
 from shared.process.cli import Parser, run
 from shared.process.entry import python
 
@@ -28,7 +29,7 @@ READY_FILE = Path("/tmp/ready")
 
 def main() -> int:
     services = load_services()
-    parser = Parser(prog="deploy.container", description=__doc__)
+    parser = Parser(prog=python_module("deploy.container"), description=__doc__)
     parser.add_argument(
         "--ready-file", metavar="FILE", type=Path, default=READY_FILE, help="(default %(default)s)"
     )

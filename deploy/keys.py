@@ -6,10 +6,7 @@ needed nowhere else.
 
 from __future__ import annotations
 
-from remote_wbc import begin
-
-begin(__name__)
-
+import argparse
 import ipaddress
 import os
 import re
@@ -35,7 +32,7 @@ from shared.bus.security import (
 )
 from shared.config.settings import RobotConfig
 from shared.errors import ConfigError
-from shared.process.cli import EXIT_STANDING, Parser, run
+from shared.process.cli import EXIT_STANDING
 
 LISTENERS = (EDGE, NETEM, ROUTER)
 THIS_MACHINE = ("localhost", "127.0.0.1", "::1")
@@ -53,8 +50,9 @@ class Signer:
     key: ec.EllipticCurvePrivateKey
 
 
-def main() -> int:
-    parser = Parser(prog="deploy/keys", description=__doc__)
+def add_keys_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `keys`."""
+    parser.description = __doc__
     parser.add_argument("folder", metavar="DIR", type=Path, help="where the files go")
     parser.add_argument(
         "--robot",
@@ -76,7 +74,10 @@ def main() -> int:
         action="store_true",
         help="with the authority that is in DIR, make what is missing; nothing is replaced",
     )
-    arguments = parser.parse_args()
+
+
+def run_keys(arguments: argparse.Namespace) -> int:
+    """Make the certificates and say where to copy them."""
     robots = tuple(dict.fromkeys(arguments.robot or [RobotConfig.name]))
     made = make(arguments.folder, robots=robots, hosts=arguments.host, add=arguments.add)
     print(_in_words(arguments.folder, made, hosts=arguments.host))
@@ -288,7 +289,3 @@ def _in_words(folder: Path, roles: Sequence[str], *, hosts: Sequence[str]) -> st
             "  good on this machine only: give the edge's (or router's) name or address with --host"
         )
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    run(main)

@@ -20,6 +20,7 @@ import time
 
 from shared.bus.security import ROUTER, Credentials
 from shared.bus.zenoh_bus import ZenohBus
+from shared.commands import python_module
 from shared.process.cli import EXIT_STANDING, Parser, run
 from shared.process.service import StopSignal, add_secure_argument
 from shared.wire.channels import DOWNLINK
@@ -29,7 +30,7 @@ _POLL_SECONDS = 0.1
 
 
 def main() -> int:
-    parser = Parser(prog="deploy.router", description=__doc__)
+    parser = Parser(prog=python_module("deploy.router"), description=__doc__)
     parser.add_argument(
         "--listen", metavar="ENDPOINT", default=_ENDPOINT, help="(default %(default)s)"
     )

@@ -33,6 +33,7 @@ from deploy.outcome import keep_report, record, summarise
 from deploy.plan import ROBOT, VIEWER, Plan, PlannedService
 from deploy.services import IGNORED, OUTCOME, Service
 from deploy.supervisor import Launch, Supervisor
+from shared.commands import wbc
 from shared.config.settings import RunConfig
 from shared.errors import LinkError, UserError
 from shared.output.report import summary_in_words
@@ -165,7 +166,7 @@ class StackRun:
             if not self._run.plan.has(ROBOT):
                 self._terminal.say("up", "started; Ctrl-C ends it")
             return
-        self._terminal.say("up", "ready; ./deploy/ps, logs and down are for what is to come")
+        self._terminal.say("up", f"ready; {wbc('ps')}, logs and down are for what is to come")
         self._terminal.leave()
         with self._folder.log.open("ab") as errors:
             tell_ready(self._run.ready_fd, errors.fileno())

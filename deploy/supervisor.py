@@ -23,6 +23,7 @@ from deploy.background.state import (
 )
 from deploy.process import kill_group, start_process, terminate
 from deploy.services import IGNORED, OUTCOME, Service
+from shared.commands import wbc
 from shared.errors import ConfigError, LinkError
 
 
@@ -92,9 +93,9 @@ class Supervisor:
             raise ConfigError(f"restart: expected one of {', '.join(self._children)}, got {name}")
         service = child.launch.service
         if service.end == OUTCOME:
-            raise ConfigError(f"restart: the run ends with {name}: ./deploy/down, then up again")
+            raise ConfigError(f"restart: the run ends with {name}: {wbc('down')}, then up again")
         if child.state != READY and (child.state, service.end) != (ENDED, IGNORED):
-            raise ConfigError(f"restart: {name} is {child.state} already; ./deploy/ps shows it")
+            raise ConfigError(f"restart: {name} is {child.state} already; {wbc('ps')} shows it")
         # At once, so that a second order finds it.
         self._put(child, STOPPING)
         if child.watch is not None:

@@ -7,10 +7,6 @@ ready. 3: the robot fell. 130: a signal ended its run. Anything else: an error t
 
 from __future__ import annotations
 
-from remote_wbc import begin
-
-begin(__name__)
-
 import argparse
 import asyncio
 import dataclasses
@@ -34,20 +30,21 @@ from deploy.plan import (
 from deploy.services import Service, load_services
 from deploy.stack import Run, StackRun
 from netem.networks import load_network
+from shared.commands import wbc
 from shared.config.config_file import dump_config
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError, LinkError
 from shared.motion.plan import make_motion
 from shared.output.screen import has_screen
 from shared.output.versions import versions
-from shared.process.cli import Parser, add_run_arguments, add_view_argument, config_from, run
+from shared.process.cli import add_run_arguments, add_view_argument, config_from
 from shared.process.service import add_identity_arguments
 from shared.robots import load_robot
 
 
-def main() -> int:
+def run_up(arguments: argparse.Namespace) -> int:
+    """Run the stack that the arguments describe; the exit code of the module."""
     declared = load_services()
-    arguments = _parser(", ".join(declared)).parse_args()
     if arguments.detach:
         return in_background(lambda ready_fd: _play(arguments, declared, ready_fd))
     return _play(arguments, declared, None)
@@ -89,8 +86,9 @@ def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd:
     return asyncio.run(StackRun(described).run())
 
 
-def _parser(services: str) -> Parser:
-    parser = Parser(prog="deploy/up", description=__doc__)
+def add_up_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `up`."""
+    parser.description = __doc__
     add_run_arguments(parser)
     add_view_argument(parser)
     parser.add_argument(
@@ -100,7 +98,7 @@ def _parser(services: str) -> Parser:
         "-d",
         "--detach",
         action="store_true",
-        help="return when everything is ready; see ./deploy/ps, logs, restart and down",
+        help="return when everything is ready; see ps, logs, restart and down",
     )
     group = parser.add_argument_group(
         "several machines (docs/real-network.md); ENDPOINT: tls/HOST:PORT, or tcp, quic"
@@ -108,7 +106,7 @@ def _parser(services: str) -> Parser:
     group.add_argument(
         "--only",
         metavar="SERVICE,…",
-        help=f"start these of {services} (default: all but the router)",
+        help=f"start these of {', '.join(load_services())} (default: all but the router)",
     )
     group.add_argument(
         "--edge",
@@ -127,7 +125,6 @@ def _parser(services: str) -> Parser:
         "loopback unless told otherwise",
     )
     add_identity_arguments(group)
-    return parser
 
 
 def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) -> Path:
@@ -163,7 +160,7 @@ def _check_port(plan: Plan) -> None:
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
                 raise LinkError(
-                    f"listen: port {endpoint.port} is in use, by another stack (./deploy/ps) or "
+                    f"listen: port {endpoint.port} is in use, by another stack ({wbc('ps')}) or "
                     f"another program; end it, or --listen {endpoint.protocol}/{endpoint.host}:PORT"
                 ) from None
 
@@ -183,7 +180,3 @@ def _free_ports(count: int) -> list[int]:
     finally:
         for each in sockets:
             each.close()
-
-
-if __name__ == "__main__":
-    run(main)

@@ -13,6 +13,7 @@ from edge_node.node import EdgeNode
 from shared.bus.base import Inbox
 from shared.bus.security import EDGE
 from shared.bus.zenoh_bus import ZenohBus
+from shared.commands import python_module
 from shared.motion.plan import make_motion
 from shared.output.report import edge_report
 from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
@@ -33,7 +34,7 @@ _POLL_NS = 50_000_000
 
 
 def main() -> int:
-    parser = Parser(prog="edge_node", description=__doc__)
+    parser = Parser(prog=python_module("edge_node"), description=__doc__)
     ways = parser.add_mutually_exclusive_group()
     ways.add_argument(
         "--listen", metavar="ENDPOINT", default=EDGE_ENDPOINT, help="(default %(default)s)"

@@ -1,6 +1,6 @@
 """Your own controller on the robot: the edge's last solution with the robot's own dynamics.
 
-    python -m examples.own_controller
+    ./deploy/python -m examples.own_controller
 
 PR applies the edge's last torque, LA its last projector. In between lies a third: keep the last
 *solution* y = (a, f), and recover the torque with the dynamics of the present state. A controller

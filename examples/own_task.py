@@ -1,6 +1,6 @@
 """Your own task: Romeo bends its knees, on answers that are 60 ms old.
 
-    python -m examples.own_task
+    ./deploy/python -m examples.own_task
 
 A task is a motion: the reference of CoM, trunk, posture and feet at every time, which both ends of
 the link derive for themselves; see `shared.wbc.reference.Motion`.

@@ -1,9 +1,9 @@
 """Your own trace: delays from an array to a profile file, and a robot on the link it describes.
 
-    python -m examples.own_trace
+    ./deploy/python -m examples.own_trace
 
 A profile holds the one-way delay, each way, of a message *sent* in each millisecond, and repeats.
-Measurements of other tools become one by `python -m netem convert`, your own link by `python -m
+Measurements of other tools become one by `./wbc netem convert`, your own link by `./wbc
 netem record`; `docs/profiles.md` describes the file.
 """
 

@@ -1,11 +1,11 @@
 """A sweep: how long may answers take until a push fells the robot? 12 trials on all cores.
 
-    python -m examples.sweep
+    ./deploy/python -m examples.sweep
 
 A study is a table of settings, here a dict, in `experiments/configs/` a TOML file; every cell of
 its grid is played with the same seeds. `experiments/studies/study_file.py` describes all keys.
 What has been played is kept: interrupt it, and the same command goes on. From the command line the
-same is `python -m experiments sweep FILE.toml`.
+same is `./wbc sweep FILE.toml`.
 """
 
 from __future__ import annotations

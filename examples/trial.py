@@ -1,6 +1,6 @@
 """A trial from Python: what a push and a stalling link do to PR, LA and LC.
 
-    python -m examples.trial
+    ./deploy/python -m examples.trial
 
 A trial is a configuration, played under simulated time: the same one gives the same result to the
 last bit. Its settings are those of `docs/configuration.md`, with a dot for every section; what is

@@ -1,6 +1,6 @@
 """How often a robot falls over constant round trip × push × controller: its delay margin as a map.
 
-`python -m experiments atlas --task balance --delays 0ms,50ms --pushes 60N,100N` plays every pair of
+`./wbc atlas --task balance --delays 0ms,50ms --pushes 60N,100N` plays every pair of
 delay and push with each controller and the same seeds, as a study: resumable, on all cores or on a
 cluster. It leaves a heat map with counts, and a row per square in `atlas.parquet`.
 """

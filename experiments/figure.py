@@ -1,6 +1,6 @@
 """A figure of a study: how many trials stood, or the mean of a column, over one of its settings.
 
-`python -m experiments figure DIR --x correction.posture_error --by cell --panels task --out FILE`.
+`./wbc figure DIR --x correction.posture_error --by cell --panels task --out FILE`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`python -m experiments settings`: the tables of all settings in `docs/configuration.md`."""
+"""`./wbc settings`: the tables of all settings in `docs/configuration.md`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The emulated link below the transport: `python -m netem packets factory/003`, as root.
+"""The emulated link below the transport: `./wbc netem packets factory/003`, as root.
 
 Makes two network namespaces and moves every IP packet from one to the other as the profile has it.
 Whatever is started in them (`ip netns exec …`) has this link between its ends, with the fragments,
@@ -16,6 +16,7 @@ from netem.networks import load_network
 from netem.packet_pump import Way, pump, wait_for_packet
 from netem.profile import DIRECTIONS, Profile
 from netem.tun import MAX_MTU, MIN_MTU, End, NamespacePair
+from shared.commands import python_module
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError
 from shared.process.cli import EXIT_STANDING
@@ -60,11 +61,13 @@ def run_packets(arguments: argparse.Namespace) -> int:
             f"{profile.nominal_round_trip_ns * 1e-6:.2f} ms)"
         )
         endpoint = f"tcp/{edge.address}:{_PORT}"
-        print(f"  edge:  ip netns exec {edge.namespace} python -m edge_node --listen {endpoint}")
-        print(
-            f"  robot: ip netns exec {robot.namespace} python -m robot_node --connect {endpoint}",
-            flush=True,
-        )
+        for end, module, option in (
+            (edge, "edge_node", "--listen"),
+            (robot, "robot_node", "--connect"),
+        ):
+            command = python_module(module, f"{option} {endpoint}")
+            name = f"{module.removesuffix('_node')}:"
+            print(f"  {name:6} ip netns exec {end.namespace} {command}", flush=True)
         ways = _move(profile, config, (robot, edge), mtu=arguments.mtu, stop=stop)
         unread = pair.dropped()
     if not ways:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from netem.profile import DIRECTIONS, LOST, MAX_DELAY_MS, PERIOD_NS, DelayProfile
+from shared.commands import wbc
 from shared.errors import ProfileError
 
 CSV_HEADER = ("uplink_ms", "downlink_ms")
@@ -38,8 +39,8 @@ def read_profile(path: Path, *, name: str | None = None) -> DelayProfile:
     read = {".npz": _read_npz, ".csv": _read_csv}.get(path.suffix)
     if read is None:
         raise ProfileError(
-            f"profile: expected a .npz or .csv file, got {path}; other formats: python -m netem "
-            "convert"
+            f"profile: expected a .npz or .csv file, got {path}; other formats: "
+            f"{wbc('netem convert')}"
         )
     try:
         return read(path, name or path.stem)

@@ -1,4 +1,4 @@
-"""The emulated link as a process: `python -m netem replay factory/003 --listen … --connect …`.
+"""The emulated link as a process: `./wbc netem replay factory/003 --listen … --connect …`.
 
 The robot dials `--listen`, the shim dials the edge at `--connect`. Key expressions are the same on
 both sides: taking the shim out is a change of one endpoint.

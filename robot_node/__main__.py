@@ -17,6 +17,7 @@ from robot_node.worker import WorkerComputer
 from shared.bus.base import Inbox
 from shared.bus.preflight import preflight
 from shared.bus.zenoh_bus import ZenohBus
+from shared.commands import python_module
 from shared.errors import LinkError
 from shared.motion.plan import make_motion
 from shared.output.report import robot_report
@@ -44,7 +45,7 @@ _PRIORITY = 30
 
 
 def main() -> int:
-    parser = Parser(prog="robot_node", description=__doc__)
+    parser = Parser(prog=python_module("robot_node"), description=__doc__)
     parser.add_argument(
         "--connect",
         metavar="ENDPOINT",

@@ -18,7 +18,7 @@ FILES = sorted(path for path in FOLDER.glob("*.py") if path.stem != "__init__")
 def test_an_example_is_a_page_and_says_how_it_is_run(path):
     text = path.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 60
-    assert f"\n    python -m examples.{path.stem}\n" in text
+    assert f"\n    ./deploy/python -m examples.{path.stem}\n" in text
 
 
 def test_a_trial_plays_each_controller_and_says_what_happened(capsys):

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
+from remote_wbc import __version__
 from shared.config.toml_file import read_toml
 from shared.process.entry import python
 from tests.processes import ROOT
@@ -69,7 +70,7 @@ def test_a_wheel_has_the_data_that_the_code_reads(wheel: zipfile.ZipFile) -> Non
 
 
 def test_a_wheel_has_the_licence_and_names_it(wheel: zipfile.ZipFile) -> None:
-    folder = f"{PROJECT['name'].replace('-', '_')}-{PROJECT['version']}.dist-info"
+    folder = f"{PROJECT['name'].replace('-', '_')}-{__version__}.dist-info"
     text = (ROOT / "LICENSE").read_text()
     assert wheel.read(f"{folder}/licenses/LICENSE").decode() == text
     assert "Version 2.0, January 2004" in text
@@ -84,11 +85,11 @@ def test_the_citation_and_the_changelog_are_of_this_version() -> None:
     assert {"cff-version", "message", "title", "authors"} <= citation.keys()
     assert all({"type", "title", "authors"} <= work.keys() for work in citation["references"])
     assert (citation["version"], citation["license"], citation["authors"]) == (
-        PROJECT["version"],
+        __version__,
         PROJECT["license"],
         PROJECT["authors"],
     )
-    assert PROJECT["version"] in (ROOT / "CHANGELOG.md").read_text()
+    assert __version__ in (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_no_index_takes_it_by_mistake() -> None:

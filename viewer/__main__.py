@@ -6,143 +6,20 @@ from remote_wbc import begin
 
 begin(__name__)
 
-import argparse
-import os
-import sys
-import time
-from pathlib import Path
+from shared.process.cli import Subcommand, run, run_command
 
-from shared.config.config_file import load_config
-from shared.errors import UserError
-from shared.process.cli import EXIT_STANDING, Subcommand, run, run_command
-from shared.process.service import StopSignal
-from viewer.display import VIEWS
-from viewer.live import watch
-from viewer.recording import record
-from viewer.show import show
-from viewer.snapshot import ANIMATIONS, animation, picture
-
-
-def main() -> int:
-    return run_command("viewer", __doc__, _COMMANDS)
-
-
-def _add_live(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--config", metavar="FILE.toml", required=True, help="settings of the run")
-    parser.add_argument(
-        "--telemetry", metavar="ENDPOINT", required=True, help="hub, as in tcp/127.0.0.1:7450"
-    )
-    parser.add_argument("--view", choices=VIEWS, default="native", help="(default %(default)s)")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="also write DIR/recording.rrd")
-
-
-def _add_run(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", metavar="RUN", type=Path, help="the run's folder")
-
-
-def _add_open(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("runs", metavar="RUN", type=Path, nargs=1, help="the run's folder")
-    _add_view(parser)
-
-
-def _add_compare(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="the runs' folders")
-    _add_view(parser)
-
-
-def _add_view(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--view",
-        choices=("auto", "native", "web"),
-        default="auto",
-        help="a window or a browser (default: a window if there is a screen)",
-    )
-
-
-def _add_snapshot(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "runs", metavar="RUN", type=Path, nargs="+", help="a run's folder; several are compared"
-    )
-    parser.add_argument("--out", metavar="FILE.png", type=Path, help="a picture")
-    parser.add_argument("--at", metavar="SECONDS", type=float, help="of the picture (default: end)")
-    parser.add_argument(
-        "--animation", metavar="FILE", type=Path, help=f"an animation, {' or '.join(ANIMATIONS)}"
-    )
-    parser.add_argument("--span", metavar="FROM:TO", help="of the animation [s] (default: all)")
-    parser.add_argument(
-        "--speed", type=float, default=1.0, help="of the animation (default %(default)g)"
-    )
-
-
-def _live(arguments: argparse.Namespace) -> int:
-    stop = StopSignal()
-    watch(
-        load_config(arguments.config),
-        telemetry=arguments.telemetry,
-        view=arguments.view,
-        out=arguments.out,
-        stopped=lambda: stop.requested,
-        say=_say,
-    )
-    return EXIT_STANDING
-
-
-def _show(arguments: argparse.Namespace) -> int:
-    stop = StopSignal()
-    show(arguments.runs, view=arguments.view, stopped=lambda: stop.requested, say=_say)
-    return EXIT_STANDING
-
-
-def _snapshot(arguments: argparse.Namespace) -> int:
-    if arguments.out is None and arguments.animation is None:
-        raise UserError("snapshot: expected --out FILE.png, --animation FILE.gif, or both")
-    if arguments.out is not None:
-        picture(arguments.runs, arguments.out, at=arguments.at)
-        _say(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB")
-    if arguments.animation is not None:
-        begin, end = _span(arguments.span)
-        animation(arguments.runs, arguments.animation, begin=begin, end=end, speed=arguments.speed)
-        _say(f"{arguments.animation}: {arguments.animation.stat().st_size / 1e6:.2f} MB")
-    return EXIT_STANDING
-
-
-def _span(text: str | None) -> tuple[float, float | None]:
-    if text is None:
-        return 0.0, None
-    begin, _, end = text.partition(":")
-    try:
-        return float(begin), float(end)
-    except ValueError:
-        raise UserError(f"--span: expected FROM:TO in seconds as in 0.5:2, got {text!r}") from None
-
-
-def _record(arguments: argparse.Namespace) -> int:
-    began = time.monotonic()
-    recorded = record(arguments.run)
-    _say(
-        f"{recorded.path}: {recorded.rows} rows in {recorded.size_bytes / 1e6:.1f} MB, "
-        f"made in {time.monotonic() - began:.1f} s; open it with: rerun {recorded.path}"
-    )
-    return EXIT_STANDING
-
-
-def _say(line: str) -> None:
-    print(line, flush=True)
-
-
-_COMMANDS = (
-    Subcommand("live", "show a run as it happens", _add_live, _live),
-    Subcommand("open", "show a run that is over", _add_open, _show),
-    Subcommand("compare", "show runs side by side, their lines together", _add_compare, _show),
-    Subcommand("snapshot", "make a picture or an animation", _add_snapshot, _snapshot),
-    Subcommand("record", "build RUN/recording.rrd", _add_run, _record),
+COMMANDS = (
+    Subcommand("live", "show a run as it happens", "viewer.commands"),
+    Subcommand("open", "show a run that is over", "viewer.commands"),
+    Subcommand("compare", "show runs side by side, their lines together", "viewer.commands"),
+    Subcommand("snapshot", "make a picture or an animation", "viewer.commands"),
+    Subcommand("record", "build RUN/recording.rrd", "viewer.commands"),
 )
 
 
+def main() -> int:
+    return run_command(__doc__, COMMANDS, group="viewer")
+
+
 if __name__ == "__main__":
-    try:
-        run(main)
-    except SystemExit as ending:
-        sys.stdout.flush()
-        # Everything is closed; on a busy machine, unloading the libraries would take seconds more.
-        os._exit(ending.code if isinstance(ending.code, int) else 1)
+    run(main)

@@ -57,7 +57,7 @@ def read_run(path: Path) -> RunFolder:
     """`UserError` in one line if this is not the folder of a run, or of another version's."""
     if not path.is_dir():
         raise UserError(
-            f"expected the folder of a run, as in runs/…, or as `python -m experiments trial --out "
+            f"expected the folder of a run, as in runs/…, or as `wbc trial --out "
             f"DIR` writes it, got {path}"
         )
     missing = [name for name in _FILES if not (path / name).is_file()]

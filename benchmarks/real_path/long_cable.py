@@ -1,6 +1,6 @@
 """Two machines on one, joined by a long cable: a rate, a delay, and a modem's buffer at each end.
 
-The cable is `python -m netem packets` over a link of constant capacity: not every kernel can delay
+The cable is `./wbc netem packets` over a link of constant capacity: not every kernel can delay
 packets itself. It takes its share of the processor. Linux only, as root.
 """
 

@@ -41,7 +41,7 @@ def add_real_path_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MS",
         type=float,
         default=[0.0],
-        help="of the cable [ms]; not 0: it is python -m netem packets",
+        help="of the cable [ms]; not 0: it is ./wbc netem packets",
     )
     parser.add_argument("--protocol", nargs="+", default=["tcp"], choices=("tcp", "tls", "quic"))
     parser.add_argument(
@@ -145,7 +145,7 @@ def _trial(
 
 
 def _start(machine: Machine, output: Path, *flags: str) -> subprocess.Popen[bytes]:
-    command = machine.command(*python("-m", "deploy.up", *flags))
+    command = machine.command(*python("-m", "deploy", "up", *flags))
     with output.open("wb") as file:
         return subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT

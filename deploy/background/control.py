@@ -1,14 +1,10 @@
 """The stack in the background: what runs, what it says, one service again, all of it ended.
 
-These are about the stacks that `./deploy/up -d` started from this copy of the project; with `--run`
-about any run's folder, also one whose `up` is in another terminal.
+These are about the stacks that `up -d` started from this copy of the project; with `--run` about
+any run's folder, also one whose `up` is in another terminal.
 """
 
 from __future__ import annotations
-
-from remote_wbc import begin
-
-begin(__name__)
 
 import argparse
 import contextlib
@@ -23,8 +19,9 @@ from deploy.background.registry import Registry
 from deploy.background.state import ENDED, StackFolder, StackState, exit_in_words
 from deploy.console.terminal import Terminal, service_line
 from deploy.services import load_services
+from shared.commands import wbc
 from shared.errors import ConfigError, LinkError
-from shared.process.cli import EXIT_STANDING, Subcommand, run, run_command
+from shared.process.cli import EXIT_STANDING
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED
 
 _POLL_SECONDS = 0.1
@@ -34,25 +31,25 @@ _PATIENCE_SECONDS = 120.0
 Found = list[tuple[StackFolder, StackState]]
 
 
-def main() -> int:
-    return run_command("deploy", __doc__, _COMMANDS)
-
-
-def _add_choice(parser: argparse.ArgumentParser) -> None:
+def add_ps_arguments(parser: argparse.ArgumentParser) -> None:
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--name", help="only the stack of the robot of this name")
     which.add_argument("--run", metavar="DIR", type=Path, help="the stack of this run's folder")
 
 
-def _add_logs_arguments(parser: argparse.ArgumentParser) -> None:
+def add_down_arguments(parser: argparse.ArgumentParser) -> None:
+    add_ps_arguments(parser)
+
+
+def add_logs_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-f", "--follow", action="store_true", help="go on until the stack ends")
     parser.add_argument("service", nargs="?", metavar="SERVICE", help="only what this one says")
-    _add_choice(parser)
+    add_ps_arguments(parser)
 
 
-def _add_restart_arguments(parser: argparse.ArgumentParser) -> None:
+def add_restart_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("service", metavar="SERVICE")
-    _add_choice(parser)
+    add_ps_arguments(parser)
 
 
 def _stacks(arguments: argparse.Namespace) -> Found:
@@ -67,7 +64,7 @@ def _one_with(service: str | None, arguments: argparse.Namespace) -> tuple[Stack
     """The stack that is meant; `ConfigError` if there is none, or if there are several."""
     found = _stacks(arguments)
     if not found:
-        raise ConfigError("no stack was started in the background; ./deploy/up -d starts one")
+        raise ConfigError(f"no stack was started in the background; {wbc('up -d')} starts one")
     declared = load_services()
     if service is not None and service not in declared:
         raise ConfigError(f"service: expected one of {', '.join(declared)}, got {service!r}")
@@ -81,7 +78,7 @@ def _one_with(service: str | None, arguments: argparse.Namespace) -> tuple[Stack
     return having[0]
 
 
-def ps(arguments: argparse.Namespace) -> int:
+def run_ps(arguments: argparse.Namespace) -> int:
     """Every stack that runs and its services; else how the last one ended."""
     found = _stacks(arguments)
     if not any(stack.alive for stack, _ in found):
@@ -125,8 +122,10 @@ def _time_of_day(seconds: float, now: float) -> str:
     return f"{time.strftime('%H:%M:%S', time.localtime(seconds))} ({' '.join(text)} ago)"
 
 
-def logs(arguments: argparse.Namespace) -> int:
+def run_logs(arguments: argparse.Namespace) -> int:
     """What a stack or one of its services has said."""
+    # A line that is being followed is to be seen at once.
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     stack, _ = _one_with(arguments.service, arguments)
     service = arguments.service
     file = stack.log if service is None else stack.run / f"{service}.log"
@@ -161,14 +160,14 @@ def _lines(file: Path, following: StackFolder | None) -> Iterator[str]:
         yield rest
 
 
-def restart(arguments: argparse.Namespace) -> int:
+def run_restart(arguments: argparse.Namespace) -> int:
     """End one service and start it again; returns when it is ready."""
     # Imported here: asyncio takes as long as all that the other commands need.
     from deploy.background.control_server import request_restart
 
     stack, _ = _one_with(arguments.service, arguments)
     if not stack.alive:
-        raise ConfigError("nothing is running; ./deploy/up -d starts a stack")
+        raise ConfigError(f"nothing is running; {wbc('up -d')} starts a stack")
     service = load_services()[arguments.service]
     patience = service.stop_seconds + service.ready_seconds + _PATIENCE_SECONDS
     request_restart(stack, service.name, within_seconds=patience)
@@ -176,7 +175,7 @@ def restart(arguments: argparse.Namespace) -> int:
     return EXIT_STANDING
 
 
-def down(arguments: argparse.Namespace) -> int:
+def run_down(arguments: argparse.Namespace) -> int:
     """End every stack; 0, or 3 if a robot had fallen, or 2 if one had ended by an error."""
     found = _stacks(arguments)
     running = [each for each in found if each[0].alive]
@@ -211,17 +210,3 @@ def _wait_for_end(stack: StackFolder, state: StackState) -> None:
                 f"kill -9 {state.pid} ends it with its services"
             )
         time.sleep(_POLL_SECONDS)
-
-
-_COMMANDS = (
-    Subcommand("ps", "what runs, or how it ended", _add_choice, ps),
-    Subcommand("logs", "what the services have said", _add_logs_arguments, logs),
-    Subcommand("restart", "end one service and start it again", _add_restart_arguments, restart),
-    Subcommand("down", "end everything", _add_choice, down),
-)
-
-
-if __name__ == "__main__":
-    # A line that is being followed is to be seen at once.
-    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
-    run(main)

@@ -8,6 +8,7 @@ import socket
 from collections.abc import Awaitable, Callable
 
 from deploy.background.state import StackFolder, within
+from shared.commands import wbc
 from shared.errors import LinkError, UserError
 
 
@@ -67,7 +68,7 @@ def request_restart(stack: StackFolder, service: str, *, within_seconds: float) 
                 answer = json.loads(answers.readline())
     except (OSError, ValueError):
         raise LinkError(
-            f"restart: {stack.run} does not answer; ./deploy/ps says whether it runs"
+            f"restart: {stack.run} does not answer; {wbc('ps')} says whether it runs"
         ) from None
     if "error" in answer:
         raise LinkError(answer["error"])

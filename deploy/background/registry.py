@@ -1,7 +1,9 @@
 """The stacks that were started in the background from this copy of the project.
 
-Each is a link to its run's folder, `runs/.stacks/ROBOT.SERVICE+SERVICE`, and stays until the next
-one of the same name takes its place.
+Each is a link to its run's folder, `ROBOT.SERVICE+SERVICE`, and stays until the next one of the
+same name takes its place. The links are in `runs/.stacks` of the project's folder, or, where it is
+installed as a package, of all its installations in `remote-wbc/stacks` of the user's state folder
+($XDG_STATE_HOME, ~/.local/state).
 """
 
 from __future__ import annotations
@@ -13,16 +15,23 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deploy.background.state import StackFolder, StackState
+from shared.commands import CHECKOUT, wbc
 from shared.errors import ConfigError
 
-ROOT = Path(__file__).resolve().parents[2] / "runs" / ".stacks"
+
+def registry_folder() -> Path:
+    """Where the links are."""
+    if CHECKOUT is not None:
+        return CHECKOUT / "runs" / ".stacks"
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "remote-wbc" / "stacks"
 
 
 class Registry:
     """The links, in `folder`."""
 
-    def __init__(self, folder: Path = ROOT) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path | None = None) -> None:
+        self._folder = folder or registry_folder()
 
     def check(self, run: Path | None, *, robot: str, services: tuple[str, ...]) -> None:
         """`ConfigError` if another stack than `run` has this robot and one of these services."""
@@ -31,7 +40,7 @@ class Registry:
             if both and stack.alive and (run is None or stack.run != run.resolve()):
                 raise ConfigError(
                     f"up: {', '.join(both)} of {robot} run already (pid {state.pid}, "
-                    f"{stack.run}); ./deploy/down ends them, --name starts another robot"
+                    f"{stack.run}); {wbc('down')} ends them, --name starts another robot"
                 )
 
     def add(self, run: Path, *, robot: str, services: tuple[str, ...]) -> None:

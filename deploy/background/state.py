@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
+from shared.commands import wbc
 from shared.errors import ConfigError
 
 STARTING, READY, STOPPING, ENDED = "starting", "ready", "stopping", "ended"
@@ -129,7 +130,7 @@ class StackFolder:
             return StackState(**{**table, "named": tuple(table["named"]), "services": services})
         except (OSError, ValueError, KeyError, TypeError):
             raise ConfigError(
-                f"run: expected the folder of a run of ./deploy/up, {self.run} is none"
+                f"run: expected the folder of a run of {wbc('up')}, {self.run} is none"
             ) from None
 
 

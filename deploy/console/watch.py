@@ -18,6 +18,7 @@ from deploy.console.status import Status
 from deploy.console.terminal import Terminal
 from deploy.outcome import SUMMARY, summarise
 from shared.bus.zenoh_bus import ZenohBus
+from shared.commands import python_module
 from shared.config.settings import RunConfig
 from shared.output.report import summary_in_words
 from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
@@ -29,7 +30,7 @@ _PERIOD_SECONDS = 0.1
 
 
 def main() -> int:
-    parser = Parser(prog="deploy.console.watch", description=__doc__)
+    parser = Parser(prog=python_module("deploy.console.watch"), description=__doc__)
     parser.add_argument(
         "--listen", metavar="ENDPOINT", default=_ENDPOINT, help="(default %(default)s)"
     )

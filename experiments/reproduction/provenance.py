@@ -22,11 +22,11 @@ def how_it_was_made(results: Results) -> list[str]:
         return ["No study has been played."]
     quick = " --quick" if any(results.shortened(name) for name in abouts) else ""
     return [
-        f"```sh\npython -m experiments run all{quick}\npython -m experiments report\n```",
+        f"```sh\n./wbc run all{quick}\n./wbc report\n```",
         f"Machine: {_each(abouts, _machine)}. Versions: {_each(abouts, _versions)}. Commit: "
         f"{_each(abouts, _commit)}.",
         "Trials run on a simulated clock: the same configuration and seed give the same trial to "
-        "the last bit. `python -m experiments check docs/results/trials/STUDY` plays a sample of "
+        "the last bit. `./wbc check docs/results/trials/STUDY` plays a sample of "
         "them again and compares. Seed k has the same noise and the same profile in every cell of "
         "a study.",
         in_markdown(_studies(results, abouts)),

@@ -1,7 +1,7 @@
-"""`python -m experiments report`: a page of what `run` has found, with its trials and figures.
+"""`./wbc report`: a page of what `run` has found, with its trials and figures.
 
 `docs/results.md`, figures beside it, and under `docs/results/trials/STUDY` the table, the study
-and how it was made, which is what `python -m experiments check` plays a sample of again.
+and how it was made, which is what `./wbc check` plays a sample of again.
 """
 
 from __future__ import annotations
@@ -55,8 +55,7 @@ def run_report(arguments: argparse.Namespace) -> int:
     results = Results(arguments.out)
     if not results.folder.is_dir():
         raise ConfigError(
-            f"out: expected a folder of `python -m experiments run`, got {results.folder}: no such "
-            "folder"
+            f"out: expected a folder of `wbc run`, got {results.folder}: no such folder"
         )
     found = claims(results)
     page = arguments.docs / "results.md"
@@ -80,7 +79,7 @@ def report_text(results: Results, found: Sequence[Claim]) -> str:
         "Tables II–VI and Figures 4–6: our trials beside the numbers that the paper prints. PR "
         "applies the last torque received, LA the last projector to fresh feedback; LC, ours, "
         "corrects a factorisation locally; *full QP, 0 ms* is solved for every state without "
-        "delay. This page is written by `python -m experiments report`. Why numbers differ, and "
+        "delay. This page is written by `./wbc report`. Why numbers differ, and "
         "what the paper leaves open: [reproduction.md](reproduction.md).",
         *_missing(results),
         "## What the paper concludes, checked",
@@ -113,7 +112,7 @@ def _missing(results: Results) -> list[str]:
     notes = []
     if absent:
         notes.append(
-            f"> **Incomplete.** Not there: {', '.join(absent)}. `python -m experiments run all"
+            f"> **Incomplete.** Not there: {', '.join(absent)}. `./wbc run all"
             f"{' --quick' * bool(short)} --out {results.folder}` goes on with it."
         )
     if short:

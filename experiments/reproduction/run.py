@@ -1,4 +1,4 @@
-"""`python -m experiments run table2 fig5 …`: plays what a table or figure needs, and prints it.
+"""`./wbc run table2 fig5 …`: plays what a table or figure needs, and prints it.
 
 Each study goes into a folder of its own below `--out`, where finished trials are kept, so that the
 same command goes on after an interruption. Whatever is shared by several tables is played once.
@@ -20,6 +20,7 @@ from experiments.reproduction.sections import SECTIONS
 from experiments.studies.code_identity import code_version
 from experiments.studies.study_file import read_study
 from experiments.studies.sweep import sweep, workers_from
+from shared.commands import wbc
 from shared.errors import ConfigError
 from shared.process.cli import EXIT_STANDING
 
@@ -30,7 +31,7 @@ DEFAULT_OUT = Path("runs") / "reproduction"
 QUICK_OUT = Path("runs") / "reproduction-quick"
 
 
-def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+def add_reproduction_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `run`."""
     parser.add_argument(
         "names", nargs="+", metavar="NAME", help=f"{', '.join(sorted(NAMES))}, or {ALL}"
@@ -89,7 +90,7 @@ def _run(names: Sequence[str], out: Path, arguments: argparse.Namespace) -> None
         for table in SECTIONS[name].tables(Results(out)):
             print(f"\n{in_columns(table)}")
         print(flush=True)
-    _say(f"done: {out}; python -m experiments report --out {out} makes a page of it")
+    _say(f"done: {out}; {wbc(f'report --out {out}')} makes a page of it")
 
 
 def _play(name: str, out: Path, arguments: argparse.Namespace) -> None:

@@ -1,7 +1,7 @@
 """Where a stale factorisation ends, without a simulation: convergence of the corrections at random
 states, and their contraction, against how far away the factorisation was computed.
 
-`python -m experiments corrections --out DIR` writes `corrections.png` and `corrections.md`.
+`./wbc corrections --out DIR` writes `corrections.png` and `corrections.md`.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def run_corrections(arguments: argparse.Namespace) -> int:
     made = versions()
     lines += [
         "",
-        f"`python -m experiments corrections --states {arguments.states} --seed {arguments.seed}`, "
+        f"`./wbc corrections --states {arguments.states} --seed {arguments.seed}`, "
         f"Python {made['python']}, pin {made['pin']}, daqp {made['daqp']}, numpy {made['numpy']}.",
     ]
     (arguments.out / "corrections.md").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -208,7 +208,7 @@ def _write_table(path: Path, table: str, asked: str, out: Path) -> None:
         packages = ", ".join(f"{name} {made[name]}" for name in ("python", "mujoco", "pin", "daqp"))
         lines = [
             about["description"],
-            f"python -m experiments sweep {asked}",
+            f"./wbc sweep {asked}",
             f"{about['machine']['cpu']}; {packages}; commit {commit}, "
             f"{about['date'][:10]}; means over the trials that finished standing",
             "",

@@ -1,4 +1,4 @@
-"""Generated profiles beside the shipped ns-3 profiles: `python -m netem calibrate`.
+"""Generated profiles beside the shipped ns-3 profiles: `./wbc netem calibrate`.
 
 The gains of the model were fitted to the odd runs of ns-3 alone; the table gives both halves, so
 that what was learnt by heart would show. `docs/network-model.md` says what else has seen which.
@@ -126,7 +126,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     check_set(count, seed)
     if not 1 <= sets <= MAX_SETS:
         raise ConfigError(f"sets: expected from 1 to {MAX_SETS}, got {sets}")
-    command = f"python -m netem calibrate --seed {seed} --count {count} --sets {sets}"
+    command = f"./wbc netem calibrate --seed {seed} --count {count} --sets {sets}"
     parts = [_header(command, seed=seed, count=count, sets=sets)]
     drawn = {}
     for scenario in SCENARIOS.values():

@@ -1,4 +1,4 @@
-"""The figure of `python -m netem calibrate`: distributions, memory and an example of each."""
+"""The figure of `./wbc netem calibrate`: distributions, memory and an example of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Seeded delay profiles of a modelled 5G link: `python -m netem generate factory --out DIR`.
+"""Seeded delay profiles of a modelled 5G link: `./wbc netem generate factory --out DIR`.
 
 Channel (`channel`) → what the link can carry (`rate_adaptation`) → queue
 (`queueing`) → one-way delays, both ways from one channel. `docs/network-model.md` describes

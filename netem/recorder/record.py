@@ -1,4 +1,4 @@
-"""Measures a real path as a profile: `python -m netem record`, one end on either machine.
+"""Measures a real path as a profile: `./wbc netem record`, one end on either machine.
 
 The two ends stand in for robot and edge: the same keys, rate, sizes and quality of service, so
 whatever carries the stack carries them too. `probe_near` and `probe_far` hold what the ends send
@@ -150,7 +150,7 @@ def _reconstruct(
         start_ns=start_ns,
         end_ns=end_ns,
         metadata={
-            "source": "python -m netem record",
+            "source": "wbc netem record",
             "recorded": loop.began.isoformat(timespec="seconds"),
             "far_end": arguments.connect,
             "ended_early": early,
@@ -170,7 +170,7 @@ def _run_far(arguments: argparse.Namespace) -> int:
         loop = FarLoop(FarEnd(), bus.publisher(DOWNLINK.key_for(me.robot)), say)
         bus.subscribe(UPLINK.key_for(me.robot), loop.receive)
         suspend_garbage_collection()
-        say(f"READY {arguments.listen} ({scheduling}); waits for python -m netem record --connect")
+        say(f"READY {arguments.listen} ({scheduling}); waits for `wbc netem record --connect`")
         loop.run(lambda: stop.requested)
     finally:
         bus.close()

@@ -21,7 +21,7 @@ from shared.bus.zenoh_bus import machine_clock
 from shared.clock import Ticker, sleep_until
 from shared.errors import LinkError
 
-START_FAR = "python -m netem record --listen tcp/0.0.0.0:7460"
+START_FAR = "./wbc netem record --listen tcp/0.0.0.0:7460"
 CONNECT_SECONDS = 10.0
 # Both streams run before anything counts: connections and windows have opened by then.
 SETTLE_SECONDS = 0.2

@@ -95,9 +95,9 @@ _HOSTNAME_MISMATCH, _IP_ADDRESS_MISMATCH = 62, 64
 
 def _remedy(code: int, host: str) -> str:
     if code in (_HOSTNAME_MISMATCH, _IP_ADDRESS_MISMATCH):
-        return f"make it with ./deploy/keys DIR --host {host}, or dial a name that it has"
+        return f"make it with `wbc keys DIR --host {host}`, or dial a name that it has"
     if code == _EXPIRED:
-        return "make a new one with ./deploy/keys DIR --add"
+        return "make a new one with `wbc keys DIR --add`"
     if code == _NOT_YET_VALID:
         return "set the clocks of both machines"
     return "both machines need the ca.crt that signed the certificates of both"

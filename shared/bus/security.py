@@ -24,6 +24,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import NameOID
 
 from shared.bus.endpoint import SECURE_PROTOCOLS
+from shared.commands import wbc
 from shared.errors import ConfigError
 from shared.wire.channels import DOWNLINK, UPLINK
 
@@ -32,7 +33,7 @@ DEFAULT_FOLDER = "keys"
 _ANY_ROBOT = "*"
 _ROBOT = "robot-"
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,30}")
-_REMEDY = "copy it from where ./deploy/keys made it"
+_REMEDY = "copy it from where `wbc keys` made it"
 
 
 def certificate_file(folder: Path, role: str) -> Path:
@@ -180,7 +181,7 @@ def _check_files(folder: Path, role: str) -> None:
     if not folder.is_dir():
         raise ConfigError(
             f"secure: expected a folder of certificates, {folder} is none; make them with "
-            f"./deploy/keys {folder}, or copy them from where they were made"
+            f"{wbc(f'keys {folder}')}, or copy them from where they were made"
         )
     authority = _load_certificate(certificate_file(folder, AUTHORITY))
     path = certificate_file(folder, role)
@@ -215,7 +216,7 @@ def _load_certificate(path: Path) -> x509.Certificate:
     if now > certificate.not_valid_after_utc:
         raise ConfigError(
             f"secure: {path} expired on {certificate.not_valid_after_utc:%Y-%m-%d}; remove it and "
-            "its key where they were made, and make new ones with ./deploy/keys DIR --add"
+            "its key where they were made, and make new ones with `wbc keys DIR --add`"
         )
     if now < certificate.not_valid_before_utc:
         raise ConfigError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import importlib
 import os
 import signal
 import sys
@@ -11,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
+from shared.commands import wbc
 from shared.config.quantities import parse_duration_ns
 from shared.config.setting import Setting
 from shared.config.settings import SETTINGS, RunConfig
@@ -34,25 +36,94 @@ class Parser(argparse.ArgumentParser):
 
 @dataclass(frozen=True)
 class Subcommand:
-    """A subcommand: its name, what it does in a line, its options, and what runs it."""
+    """A subcommand: its name, what it does in a line, and the module that does it.
+
+    The module has `add_NAME_arguments(parser)` and `run_NAME(arguments)`, with `stem` for NAME if
+    the command's name does not do. It is imported when the command is used.
+    """
 
     name: str
     help: str
-    add_arguments: Callable[[argparse.ArgumentParser], None]
-    run: Callable[[argparse.Namespace], int]
+    module: str
+    stem: str = ""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Give a parser the command's options."""
+        self._function("add_{}_arguments")(parser)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Run it; its exit code."""
+        code: int = self._function("run_{}")(arguments)
+        return code
+
+    def _function(self, name: str) -> Callable[..., Any]:
+        stem = self.stem or self.name.replace("-", "_")
+        function: Callable[..., Any] = getattr(
+            importlib.import_module(self.module), name.format(stem)
+        )
+        return function
 
 
-def run_command(prog: str, description: str | None, commands: Sequence[Subcommand]) -> int:
-    """Parse the command line of a program of several commands and run the one that it names."""
-    parser = Parser(prog=prog, description=description)
-    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in commands:
-        subparser = subparsers.add_parser(command.name, help=command.help)
-        command.add_arguments(subparser)
-        subparser.set_defaults(run_command=command.run)
-    arguments = parser.parse_args()
+@dataclass(frozen=True)
+class Group:
+    """Subcommands under a name of their own."""
+
+    name: str
+    help: str
+    commands: Sequence[Subcommand]
+
+
+def run_command(
+    description: str | None,
+    commands: Sequence[Subcommand | Group],
+    *,
+    group: str = "",
+    version: str | None = None,
+) -> int:
+    """Parse the command line of `wbc`, or of a group of it, and run the command that it names."""
+    parser = command_parser(description, commands, group=group, version=version, typed=sys.argv[1:])
+    arguments, unknown = parser.parse_known_args()
+    if unknown:
+        arguments.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     code: int = arguments.run_command(arguments)
     return code
+
+
+def command_parser(
+    description: str | None,
+    commands: Sequence[Subcommand | Group],
+    *,
+    group: str = "",
+    version: str | None = None,
+    typed: Sequence[str] | None = None,
+) -> Parser:
+    """The parser of a program of several commands.
+
+    Only the command that is `typed` gets its options, and all of them if None: options take as long
+    as importing what they are of.
+    """
+    parser = Parser(prog=wbc(group), description=description)
+    if version is not None:
+        parser.add_argument("--version", action="version", version=f"wbc {version}")
+    _add_commands(parser, commands, typed)
+    return parser
+
+
+def _add_commands(
+    parser: argparse.ArgumentParser,
+    commands: Sequence[Subcommand | Group],
+    typed: Sequence[str] | None,
+) -> None:
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    for command in commands:
+        subparser = subparsers.add_parser(command.name, help=command.help, description=command.help)
+        if typed is not None and typed[:1] != [command.name]:
+            continue
+        if isinstance(command, Group):
+            _add_commands(subparser, command.commands, None if typed is None else typed[1:])
+        else:
+            command.add_arguments(subparser)
+            subparser.set_defaults(run_command=command.run, parser=subparser)
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:

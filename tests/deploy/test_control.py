@@ -76,17 +76,17 @@ def asked(**changes) -> argparse.Namespace:
 
 
 def test_with_nothing_there_ps_and_down_say_so_and_logs_is_an_error(capsys):
-    assert control.ps(asked()) == 0
-    assert control.down(asked()) == 0
+    assert control.run_ps(asked()) == 0
+    assert control.run_down(asked()) == 0
     assert capsys.readouterr().out == "nothing is running\n" * 2
     with pytest.raises(ConfigError, match="up -d starts one"):
-        control.logs(asked(follow=False))
+        control.run_logs(asked(follow=False))
 
 
 def test_ps_shows_every_service_of_a_stack_that_runs(known, running, capsys):
     stack = running(named=("edge", "robot"))
     known.add(stack.run, robot="romeo", services=("edge", "robot"))
-    assert control.ps(asked()) == 0
+    assert control.run_ps(asked()) == 0
     message = capsys.readouterr().out
     assert "romeo, ready since" in message
     assert "  edge          11  ready " in message
@@ -96,8 +96,8 @@ def test_ps_shows_every_service_of_a_stack_that_runs(known, running, capsys):
 
 def test_ps_and_down_say_how_a_stack_ended_by_itself(known, tmp_path, capsys):
     known.add(written(tmp_path / "run").run, robot="romeo", services=("edge", "robot"))
-    assert control.ps(asked()) == 0
-    assert control.down(asked()) == 3
+    assert control.run_ps(asked()) == 0
+    assert control.run_down(asked()) == 3
     message = capsys.readouterr().out
     assert message.count("nothing is running") == 2
     assert message.count("(exit 3): it fell") == 2
@@ -106,7 +106,7 @@ def test_ps_and_down_say_how_a_stack_ended_by_itself(known, tmp_path, capsys):
 def test_ps_shows_what_has_killed_a_service(known, tmp_path, capsys):
     killed = (ServiceState("edge", 11, ENDED, 5.0, 2, -9),)
     known.add(written(tmp_path / "run", services=killed).run, robot="romeo", services=("edge",))
-    assert control.ps(asked()) == 0
+    assert control.run_ps(asked()) == 0
     assert "  edge           -  ended (signal 9) " in capsys.readouterr().out
 
 
@@ -114,7 +114,7 @@ def test_down_ends_what_runs_and_that_is_no_failure(known, running, capsys):
     stack = running()
     known.add(stack.run, robot="romeo", services=("edge", "robot"))
     pid = stack.read().pid
-    assert control.down(asked()) == 0
+    assert control.run_down(asked()) == 0
     assert not stack.alive
     assert "(exit 130): stopped" in capsys.readouterr().out
     assert os.waitpid(pid, 0)[1] == 0
@@ -123,8 +123,8 @@ def test_down_ends_what_runs_and_that_is_no_failure(known, running, capsys):
 def test_a_stack_whose_supervisor_was_killed_is_an_error(known, tmp_path, capsys):
     stack = written(tmp_path / "run", state=READY, exit_code=None)
     known.add(stack.run, robot="romeo", services=("edge",))
-    assert control.ps(asked()) == 0
-    assert control.down(asked()) == 2
+    assert control.run_ps(asked()) == 0
+    assert control.run_down(asked()) == 2
     message = capsys.readouterr().out
     assert "its supervisor was killed" in message
     assert " 11  ready" not in message
@@ -163,40 +163,40 @@ def test_of_several_stacks_one_has_to_be_named(known, running):
     for name in ("amy", "ben"):
         known.add(running(name, robot=name).run, robot=name, services=("edge", "robot"))
     with pytest.raises(ConfigError, match="by --name or --run"):
-        control.logs(asked(follow=False))
+        control.run_logs(asked(follow=False))
     with pytest.raises(ConfigError, match="expected one of edge, robot, got 'viewer'"):
-        control.logs(asked(follow=False, name="amy", service="viewer"))
+        control.run_logs(asked(follow=False, name="amy", service="viewer"))
     with pytest.raises(ConfigError, match="expected one of edge, netem"):
-        control.logs(asked(follow=False, service="eggs"))
+        control.run_logs(asked(follow=False, service="eggs"))
 
 
 def test_logs_are_shown_as_they_were_said(tmp_path, capsys):
     stack = written(tmp_path / "run")
     stack.log.write_text("run folder: x\n  edge | READY\nStands after\n")
     (stack.run / "edge.log").write_text("READY\nlast, without an end")
-    assert control.logs(asked(follow=True, run=stack.run)) == 0
+    assert control.run_logs(asked(follow=True, run=stack.run)) == 0
     assert capsys.readouterr().out == stack.log.read_text()
-    assert control.logs(asked(follow=True, run=stack.run, service="edge")) == 0
+    assert control.run_logs(asked(follow=True, run=stack.run, service="edge")) == 0
     assert capsys.readouterr().out == "  edge | READY\n  edge | last, without an end\n"
-    assert control.logs(asked(follow=False, run=stack.run, service="robot")) == 0
+    assert control.run_logs(asked(follow=False, run=stack.run, service="robot")) == 0
 
 
 def test_logs_that_are_followed_end_with_the_stack(running, capsys):
     stack = running()
     stack.log.write_text("    up | ready\n")
     os.kill(stack.read().pid, 15)
-    assert control.logs(asked(follow=True, run=stack.run)) == 0
+    assert control.run_logs(asked(follow=True, run=stack.run)) == 0
     assert not stack.alive
     assert capsys.readouterr().out == "    up | ready\n"
 
 
 def test_a_restart_needs_a_stack_that_runs_and_answers(tmp_path, running):
     with pytest.raises(ConfigError, match="nothing is running"):
-        control.restart(asked(service="edge", run=written(tmp_path / "old").run))
+        control.run_restart(asked(service="edge", run=written(tmp_path / "old").run))
     with pytest.raises(LinkError, match="does not answer"):
-        control.restart(asked(service="edge", run=running().run))
+        control.run_restart(asked(service="edge", run=running().run))
 
 
 def test_a_folder_that_is_no_run_is_an_error(tmp_path):
     with pytest.raises(ConfigError, match="folder of a run"):
-        control.ps(asked(run=tmp_path))
+        control.run_ps(asked(run=tmp_path))

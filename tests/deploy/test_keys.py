@@ -135,7 +135,7 @@ def test_a_robots_name_that_would_be_more_than_one_key_is_refused(tmp_path: Path
 
 
 def test_the_command_says_what_belongs_where_and_what_must_stay(tmp_path: Path):
-    command = python("-m", "deploy.keys", str(tmp_path / "keys"), "--robot", "amy")
+    command = python("-m", "deploy", "keys", str(tmp_path / "keys"), "--robot", "amy")
     done = played(*command)
     assert done.returncode == 0, done.stderr
     assert "robot-amy: copy ca.crt, robot-amy.crt, robot-amy.key" in done.stdout

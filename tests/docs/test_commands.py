@@ -8,71 +8,68 @@ from pathlib import Path
 
 import pytest
 
-import benchmarks.__main__
-import deploy.background.control
-import deploy.up
-import experiments.__main__
-import netem.__main__
-import viewer.__main__
 from experiments.settings_page import PAGE, with_tables
+from remote_wbc import commands
 from shared.config.config_file import load_config
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError
-from shared.process.cli import Parser, config_from
+from shared.process.cli import Group, Parser, command_parser, config_from
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]
-PROGRAMS = {
-    "experiments": experiments.__main__._COMMANDS,
-    "netem": netem.__main__._COMMANDS,
-    "benchmarks": benchmarks.__main__._COMMANDS,
-    "viewer": viewer.__main__._COMMANDS,
-    "deploy": deploy.background.control._COMMANDS,
-}
-MODULE = r"python -m (experiments|netem|benchmarks|viewer) ([a-z-]+)"
-SHOWN = rf"{MODULE}|\./(deploy)/(up|ps|logs|restart|down)\b"
+SHOWN = r"\./(?:wbc|deploy)/?((?: ?(?:netem|viewer|bench))? ?[a-z][a-z-]*)"
+# Of deploy/, what is no command of wbc.
+SCRIPTS = {"docs", "lint", "python", "setup", "test", "compose"}
+
+
+@pytest.fixture(scope="module")
+def parser() -> Parser:
+    """The parser of everything that wbc can do."""
+    return command_parser(None, commands())
 
 
 def shown_in_full():
-    """Command lines of `sh` blocks: the program, the command and its arguments."""
+    """Command lines of `sh` blocks, as arguments of wbc."""
     for page in PAGES:
         for block in re.findall(r"^ *```sh\n(.*?)^ *```", page.read_text(), re.DOTALL | re.M):
             for line in block.replace("\\\n", " ").splitlines():
-                if found := re.search(SHOWN, line):
-                    program, name = (each for each in found.groups() if each is not None)
+                found = re.search(rf"(?<!\S){SHOWN}(?![\w/.])", line)
+                if found and found[1].strip() not in SCRIPTS:
                     rest = shlex.split(line[found.end() :], comments=True)
-                    yield pytest.param(program, name, rest, id=f"{page.stem}: {name}")
+                    typed = [*found[1].split(), *rest]
+                    yield pytest.param(typed, id=f"{page.stem}: {found[1].strip()}")
 
 
-@pytest.mark.parametrize(("program", "name", "arguments"), shown_in_full())
-def test_a_command_line_is_understood(program, name, arguments):
-    if name == "up":
-        parser = deploy.up._parser("")
-    else:
-        (command,) = [each for each in PROGRAMS[program] if each.name == name]
-        parser = Parser()
-        command.add_arguments(parser)
-    parsed = parser.parse_args(arguments)
-    if name in ("up", "trial") and parsed.config is None:
+@pytest.mark.parametrize("typed", shown_in_full())
+def test_a_command_line_is_understood(parser, typed):
+    parsed = parser.parse_args(typed)
+    if typed[0] in ("up", "trial") and parsed.config is None:
         config_from(parsed)
 
 
 def test_a_command_that_is_mentioned_exists():
+    names = {
+        f"{prefix}{command.name}"
+        for prefix, of_prefix in [("", commands()), *groups()]
+        for command in of_prefix
+    }
     unknown = [
         f"{page.name}: {found[0]}"
         for page in PAGES
-        for found in re.finditer(MODULE, page.read_text())
-        if found[2] not in [command.name for command in PROGRAMS[found[1]]]
+        for found in re.finditer(rf"`{SHOWN}(?![\w/.])", page.read_text())
+        if found[1].strip() not in names | SCRIPTS
     ]
     assert unknown == []
+
+
+def groups():
+    return [(f"{each.name} ", each.commands) for each in commands() if isinstance(each, Group)]
 
 
 def test_the_page_of_settings_shows_those_that_there_are():
     page = (ROOT / "docs" / PAGE).read_text()
     up_to_date = page == with_tables(page)
-    assert up_to_date, (
-        f"docs/{PAGE} is out of date: `python -m experiments settings` writes it anew"
-    )
+    assert up_to_date, f"docs/{PAGE} is out of date: `./wbc settings` writes it anew"
 
 
 def test_a_file_of_settings_that_a_page_shows_is_one(tmp_path):

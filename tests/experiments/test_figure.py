@@ -98,5 +98,5 @@ def test_corrections_come_with_their_command_and_versions(tmp_path):
     assert run_corrections(argparse.Namespace(out=tmp_path, states=2, seed=0)) == 0
     assert (tmp_path / "corrections.png").read_bytes().startswith(PNG)
     text = (tmp_path / "corrections.md").read_text()
-    assert "python -m experiments corrections --states 2 --seed 0" in text
+    assert "./wbc corrections --states 2 --seed 0" in text
     assert text.count("support |") == 14

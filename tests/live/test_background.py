@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.background.registry import ROOT as STACKS
+from deploy.background.registry import registry_folder
 from deploy.background.state import StackFolder
 from shared.process.entry import python
 from tests.processes import ROOT, Process, descendants_naming, played, until
@@ -31,7 +31,7 @@ def left_behind() -> Iterator[None]:
     """Whatever became of the test, its stacks end and are forgotten."""
     yield
     message("down")
-    for link in STACKS.glob(f"{NAME}.*"):
+    for link in registry_folder().glob(f"{NAME}.*"):
         link.unlink()
 
 
@@ -41,7 +41,7 @@ def message(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def up(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return played(*python("-m", "deploy.up", "-d", "--name", NAME, *arguments))
+    return played(*python("-m", "deploy", "up", "-d", "--name", NAME, *arguments))
 
 
 def ports_of(run: Path) -> list[int]:
@@ -95,7 +95,7 @@ def test_a_stack_in_the_background_from_its_start_to_its_end(start: Start, tmp_p
     assert not (tmp_path / "second").exists()
     assert len(second.stderr.splitlines()) == 1
 
-    following = start("deploy.background.control", "logs", "-f", "robot", "--run", str(run))
+    following = start("deploy", "logs", "-f", "robot", "--run", str(run))
     following.wait_for("the task begins")
     again = message("restart", "edge")
     assert again.returncode == 0, again.stderr
@@ -127,7 +127,7 @@ def test_a_stack_whose_robot_falls_ends_by_itself_and_says_so_later(
     flags = ("--controller", "pr", "--network", "constant:120ms", "--view", "off")
     started = up(*flags, "--out", str(run))
     assert started.returncode == 0, started.stdout + started.stderr
-    following = start("deploy.background.control", "logs", "-f", "--run", str(run))
+    following = start("deploy", "logs", "-f", "--run", str(run))
     assert following.wait() == 0
     assert "FELL after" in following.output
     assert " robot | pushed with 100 N to +y" in following.output

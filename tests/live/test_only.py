@@ -23,14 +23,15 @@ def test_an_edge_alone_serves_robot_after_robot_until_it_is_told_to_end(
     start: Start, endpoints: list[str], tmp_path: Path
 ) -> None:
     edge = start(
-        "deploy.up", "--only", "edge", "--listen", endpoints[0], "--out", str(tmp_path / "edge")
+        "deploy", "up", "--only", "edge", "--listen", endpoints[0], "--out", str(tmp_path / "edge")
     )
     edge.wait_for("READY")
     assert "for this machine only" in edge.output
     for number, controller in enumerate(("la", "lc")):
         out = tmp_path / f"robot-{number}"
         robot = start(
-            "deploy.up",
+            "deploy",
+            "up",
             *(*ROBOT, "--edge", endpoints[0], "--controller", controller, "--out", str(out)),
         )
         assert robot.wait() == 0, robot.output
@@ -70,13 +71,13 @@ def test_robot_and_edge_meet_at_a_router_that_comes_back_after_it_was_gone(
 ) -> None:
     def router(number: int) -> Process:
         out = str(tmp_path / f"router-{number}")
-        started = start("deploy.up", "--only", "router", "--listen", endpoints[0], "--out", out)
+        started = start("deploy", "up", "--only", "router", "--listen", endpoints[0], "--out", out)
         started.wait_for("READY")
         return started
 
     first = router(1)
     edge = start(
-        *("deploy.up", "--only", "edge", "--router", endpoints[0], "--name", "amy"),
+        *("deploy", "up", "--only", "edge", "--router", endpoints[0], "--name", "amy"),
         *("--out", str(tmp_path / "edge")),
     )
     edge.wait_for("READY")

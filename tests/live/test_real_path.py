@@ -43,14 +43,14 @@ def test_robot_stands_on_an_edge_behind_a_slow_cable(
     make(tmp_path / "keys", robots=["romeo"], hosts=[machines.edge.address])
     secure = ("--secure", str(tmp_path / "keys"))
     edge = start(
-        *("deploy.up", "--only", "edge", "--listen", endpoint, *secure),
+        *("deploy", "up", "--only", "edge", "--listen", endpoint, *secure),
         *("--out", str(tmp_path / "edge")),
         machine=machines.edge,
     )
     edge.wait_for("READY")
     assert "UNPROTECTED" not in edge.output
     robot = start(
-        *("deploy.up", "--only", "robot", "--edge", endpoint, *secure),
+        *("deploy", "up", "--only", "robot", "--edge", endpoint, *secure),
         *("--controller", "lc", "--duration", "3", "--out", str(tmp_path / "robot")),
         machine=machines.robot,
     )

@@ -195,7 +195,7 @@ def test_nobody_and_somebody_who_does_not_answer_are_said_in_one_line(
         for near in (nobody, somebody):
             assert near.wait() == 2, near.output
             assert len(near.lines) == 2, near.output
-            assert "python -m netem record --listen tcp/0.0.0.0:7460" in near.lines[-1]
+            assert "./wbc netem record --listen tcp/0.0.0.0:7460" in near.lines[-1]
     finally:
         mute.close()
     refused = f"error: no connection within 3 s: {endpoints[0]} refuses"

@@ -192,7 +192,7 @@ def test_the_whole_stack_stands_with_every_connection_secured(
 ) -> None:
     out = tmp_path / "run"
     up = start(
-        *("deploy.up", "--secure", str(keys), "--network", "constant:4ms", "--view", "off"),
+        *("deploy", "up", "--secure", str(keys), "--network", "constant:4ms", "--view", "off"),
         *("--duration", "1.5", "--push", "none", "--out", str(out)),
     )
     assert up.wait() == 0, up.output

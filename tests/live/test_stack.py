@@ -61,7 +61,8 @@ run(main)
 def test_up_balances_and_leaves_every_file(start: Start, tmp_path: Path, robot: str) -> None:
     out = tmp_path / "run"
     up = start(
-        "deploy.up",
+        "deploy",
+        "up",
         *("--robot", robot),
         *("--view", "off", "--duration", "1.5", "--network", "constant:10ms"),
         *("--push", "none", "--out", str(out)),
@@ -95,7 +96,8 @@ def test_up_balances_and_leaves_every_file(start: Start, tmp_path: Path, robot: 
 def test_up_walks_with_an_on_board_computer_beside_the_loop(start: Start, tmp_path: Path) -> None:
     out = tmp_path / "run"
     up = start(
-        "deploy.up",
+        "deploy",
+        "up",
         *("--task", "walk", "--steps", "2", "--network", "constant:10ms"),
         *("--view", "off", "--out", str(out)),
     )
@@ -112,7 +114,8 @@ def test_up_walks_with_an_on_board_computer_beside_the_loop(start: Start, tmp_pa
 def test_up_walks_on_with_the_link_cut(start: Start, tmp_path: Path) -> None:
     out = tmp_path / "run"
     up = start(
-        "deploy.up",
+        "deploy",
+        "up",
         *("--task", "walk", "--controller", "lc", "--steps", "2", "--network", "constant:20ms"),
         *("--outage", "cut@1500ms", "--view", "off", "--out", str(out)),
     )
@@ -130,7 +133,7 @@ def test_a_plan_that_cannot_be_walked_is_refused_before_anything_starts(
     start: Start, tmp_path: Path
 ) -> None:
     out = tmp_path / "run"
-    up = start("deploy.up", "--task", "walk", "--step-sideways", "0.5", "--out", str(out))
+    up = start("deploy", "up", "--task", "walk", "--step-sideways", "0.5", "--out", str(out))
     assert up.wait() == 2
     assert len(up.lines) == 1
     assert "legs reach" in up.output
@@ -139,7 +142,8 @@ def test_a_plan_that_cannot_be_walked_is_refused_before_anything_starts(
 
 def test_up_says_with_its_exit_code_that_the_robot_fell(start: Start, tmp_path: Path) -> None:
     up = start(
-        "deploy.up",
+        "deploy",
+        "up",
         *("--view", "off", "--controller", "pr", "--network", "constant:120ms"),
         *("--out", str(tmp_path / "run")),
     )
@@ -153,7 +157,7 @@ def test_interrupted_up_stops_everything_and_keeps_what_was_measured(
     start: Start, tmp_path: Path, number: signal.Signals
 ) -> None:
     out = tmp_path / "run"
-    up = start("deploy.up", "--view", "off", "--duration", "3600", "--out", str(out))
+    up = start("deploy", "up", "--view", "off", "--duration", "3600", "--out", str(out))
     up.wait_for("the task begins")
     up.signal(number)
     assert up.wait() == 130, up.output
@@ -163,7 +167,7 @@ def test_interrupted_up_stops_everything_and_keeps_what_was_measured(
 
 def test_whoever_reads_its_output_may_leave_and_the_run_goes_on(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    command = python("-m", "deploy.up", "--controller", "lc", "--view", "off")
+    command = python("-m", "deploy", "up", "--controller", "lc", "--view", "off")
     command += ["--duration", "1", "--push", "none", "--out", str(out)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as up:
         assert up.stdout is not None
@@ -183,7 +187,7 @@ def test_death_of_a_service_ends_the_run_with_its_name(
     start: Start, tmp_path: Path, module: str
 ) -> None:
     out = tmp_path / "run"
-    up = start("deploy.up", "--view", "off", "--duration", "3600", "--out", str(out))
+    up = start("deploy", "up", "--view", "off", "--duration", "3600", "--out", str(out))
     up.wait_for("the task begins")
     victim = [pid for pid in descendants_naming(str(out)) if _module(pid) == module]
     assert len(victim) == 1
@@ -291,17 +295,17 @@ def test_bad_messages_on_the_robots_key_are_counted_and_have_no_effect(
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("deploy.up", "--colour", "red"), "unrecognized arguments"),
-        (("deploy.up", "--network", "no/such"), "expected a shipped profile"),
-        (("deploy.up", "--config", "absent.toml"), "cannot read absent.toml"),
-        (("deploy.up", "--push", "hard"), "push: expected"),
+        (("deploy", "up", "--colour", "red"), "unrecognized arguments"),
+        (("deploy", "up", "--network", "no/such"), "expected a shipped profile"),
+        (("deploy", "up", "--config", "absent.toml"), "cannot read absent.toml"),
+        (("deploy", "up", "--push", "hard"), "push: expected"),
         (("netem", "replay", "--listen", "127.0.0.1:1"), "expected PROTOCOL/HOST:PORT"),
         (("edge_node", "--listen", "tcp/127.0.0.1:notaport"), "expected PROTOCOL/HOST:PORT"),
         (("edge_node", "--listen", "tcp/192.0.2.1:7460"), "cannot open"),
         (("edge_node", "--listen", "tls/127.0.0.1:7460"), "add --secure"),
-        (("deploy.up", "--only", "edge,robots"), "edge, netem, robot, viewer, router"),
-        (("deploy.up", "--only", "robot"), "--edge tls/HOST:7460"),
-        (("deploy.up", "--secure", "/nonexistent"), "./deploy/keys"),
+        (("deploy", "up", "--only", "edge,robots"), "edge, netem, robot, viewer, router"),
+        (("deploy", "up", "--only", "robot"), "--edge tls/HOST:7460"),
+        (("deploy", "up", "--secure", "/nonexistent"), "./deploy/keys"),
         (("robot_node", "--controller", "xx"), "expected one of la, lc, pr"),
     ],
 )

@@ -32,7 +32,7 @@ def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPath
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Two runs of 50 ms as `python -m experiments trial --out` leaves them: LA and PR."""
+    """Two runs of 50 ms as `./wbc trial --out` leaves them: LA and PR."""
     folders = {}
     for controller in ("la", "pr"):
         config = RunConfig(controller=controller, duration=0.05)

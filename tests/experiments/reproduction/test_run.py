@@ -18,7 +18,7 @@ from experiments.reproduction.compute_times import (
     Time,
 )
 from experiments.reproduction.report import add_report_arguments, run_report
-from experiments.reproduction.run import NAMES, add_run_arguments, chosen, run_reproduction
+from experiments.reproduction.run import NAMES, add_reproduction_arguments, chosen, run_reproduction
 from experiments.reproduction.sections import SECTIONS, STUDIES
 from experiments.studies.study_file import read_study
 from experiments.studies.trial_table import read_trials
@@ -48,7 +48,7 @@ def command(add_arguments, run_command):
     return lambda *arguments: run_command(parser.parse_args([str(each) for each in arguments]))
 
 
-run_names = command(add_run_arguments, run_reproduction)
+run_names = command(add_reproduction_arguments, run_reproduction)
 report = command(add_report_arguments, run_report)
 
 

@@ -7,11 +7,9 @@ from scipy.stats import ks_2samp
 from netem.generator import calibration
 from netem.generator.calibration import (
     Measured,
-    add_calibrate_arguments,
     distance,
     ns3_runs,
     p_value,
-    run_calibrate,
     shared_outages,
     table,
 )
@@ -37,13 +35,13 @@ def both(request):
 def command(monkeypatch, tmp_path):
     """`calibrate` over a few runs only, its files in a folder of the test."""
     monkeypatch.setattr(calibration, "ns3_runs", lambda scenario: ns3_runs(scenario)[:4])
-    commands = (Subcommand("calibrate", "", add_calibrate_arguments, run_calibrate),)
+    commands = (Subcommand("calibrate", "", "netem.generator.calibration"),)
 
     def call(*flags):
         flags = ("--out", str(tmp_path / "f.png"), "--table", str(tmp_path / "t.txt"), *flags)
         monkeypatch.setattr("sys.argv", ["netem", "calibrate", *flags])
         with pytest.raises(SystemExit) as ended:
-            run(lambda: run_command("netem", None, commands))
+            run(lambda: run_command(None, commands))
         return ended.value.code
 
     return call
@@ -136,7 +134,7 @@ def test_the_command_writes_its_table_and_its_figure(command, capsys, tmp_path):
     printed = capsys.readouterr().out
     assert (tmp_path / "t.txt").read_text(encoding="utf-8") == printed
     head, *_ = printed.split("\n\n")
-    assert "python -m netem calibrate --seed 0 --count 2 --sets 2" in head
+    assert "./wbc netem calibrate --seed 0 --count 2 --sets 2" in head
     assert "numpy" in head
     for scenario in SCENARIOS:
         assert f"{scenario}: 4 ns-3 runs, 2 generated" in printed

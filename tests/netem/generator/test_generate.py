@@ -11,11 +11,9 @@ from hypothesis import strategies as st
 from netem.capacity import capacity_of
 from netem.generator.channel import BUILDING, FACTORY, SCENARIOS
 from netem.generator.generate import (
-    add_generate_arguments,
     generate_profile,
     generate_set,
     parse_bytes,
-    run_generate,
 )
 from netem.generator.queueing import delays_ns, departures
 from netem.profile import DIRECTIONS, DOWNLINK, LOST, UPLINK
@@ -210,12 +208,12 @@ def test_a_message_too_large_for_any_link_is_refused():
 @pytest.fixture
 def command(monkeypatch):
     """The command line, run to its end."""
-    commands = (Subcommand("generate", "", add_generate_arguments, run_generate),)
+    commands = (Subcommand("generate", "", "netem.generator.generate"),)
 
     def call(*flags):
         monkeypatch.setattr("sys.argv", ["netem", "generate", *flags])
         with pytest.raises(SystemExit) as ended:
-            run(lambda: run_command("netem", None, commands))
+            run(lambda: run_command(None, commands))
         return ended.value.code
 
     return call

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from netem.recorder.record import add_record_arguments, run_record
 from shared.process.cli import Subcommand, run, run_command
 
 NEAR = ("--connect", "tcp/127.0.0.1:1")
@@ -36,9 +35,9 @@ def test_a_mistake_is_one_line(
     # Away from the project's folder, should a file be written after all.
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.argv", ["netem", "record", *options])
-    commands = (Subcommand("record", "", add_record_arguments, run_record),)
+    commands = (Subcommand("record", "", "netem.recorder.record"),)
     with pytest.raises(SystemExit) as ended:
-        run(lambda: run_command("netem", None, commands))
+        run(lambda: run_command(None, commands))
     assert ended.value.code == 2
     captured = capsys.readouterr()
     assert captured.out == ""

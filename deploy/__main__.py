@@ -1,0 +1,27 @@
+"""Start, watch and end the stack on this machine."""
+
+from __future__ import annotations
+
+from remote_wbc import begin
+
+begin(__name__)
+
+from shared.process.cli import Subcommand, run, run_command
+
+_CONTROL = "deploy.background.control"
+COMMANDS = (
+    Subcommand("up", "start the stack and wait for its end", "deploy.up"),
+    Subcommand("ps", "what runs in the background, or how it ended", _CONTROL),
+    Subcommand("logs", "what the services have said", _CONTROL),
+    Subcommand("restart", "end one service and start it again", _CONTROL),
+    Subcommand("down", "end everything that runs in the background", _CONTROL),
+    Subcommand("keys", "make certificates for connections between machines", "deploy.keys"),
+)
+
+
+def main() -> int:
+    return run_command(__doc__, COMMANDS)
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,135 @@
+"""The command `wbc`: one for everything, typed as it says itself."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from remote_wbc import __version__, commands
+from shared.process.cli import Group
+from shared.process.entry import python
+from tests.processes import ROOT
+
+EVERY = [
+    f"{prefix}{command.name}"
+    for prefix, of_prefix in [
+        ("", [each for each in commands() if not isinstance(each, Group)]),
+        *((f"{each.name} ", each.commands) for each in commands() if isinstance(each, Group)),
+    ]
+    for command in of_prefix
+]
+SHORT_FORMS = {
+    "./deploy/ps": "ps",
+    "./deploy/logs": "logs",
+    "./deploy/restart": "restart",
+    "./deploy/down": "down",
+    "./deploy/python -m experiments trial": "trial",
+    "./deploy/python -m deploy up": "up",
+    "./deploy/python -m netem stats": "netem stats",
+    "./deploy/python -m viewer open": "viewer open",
+    "./deploy/python -m benchmarks core": "bench core",
+}
+
+
+def ran(typed: str, *, cwd: Path = ROOT, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["bash", "-c", typed],
+        cwd=cwd,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300.0,
+    )
+
+
+def usage_of(output: str) -> str:
+    """The first line of help, up to the options."""
+    found = re.match(r"usage: (.*?)(?= \[-h\]| IN )", output)
+    assert found is not None, output
+    return found[1]
+
+
+def test_it_says_its_version() -> None:
+    assert ran("./wbc --version").stdout == f"wbc {__version__}\n"
+
+
+@pytest.mark.parametrize("command", EVERY)
+def test_a_usage_line_works_as_it_is_printed(command: str) -> None:
+    shown = ran(f"./wbc {command} --help")
+    assert shown.returncode == 0, shown.stderr
+    assert usage_of(shown.stdout) == f"./wbc {command}"
+
+
+@pytest.mark.parametrize(("typed", "command"), SHORT_FORMS.items())
+def test_scripts_and_modules_are_short_forms_of_it(typed: str, command: str) -> None:
+    shown = ran(f"{typed} --help")
+    assert usage_of(shown.stdout) == f"./wbc {command}"
+
+
+def test_it_is_typed_as_it_can_be_from_where_one_is(tmp_path: Path) -> None:
+    assert usage_of(ran(f"{ROOT}/wbc ps --help", cwd=tmp_path).stdout) == f"{ROOT}/wbc ps"
+    path = f"{ROOT}/.venv/bin:{os.environ['PATH']}"
+    assert usage_of(ran("wbc ps --help", cwd=tmp_path, PATH=path).stdout) == "wbc ps"
+    assert usage_of(ran("../wbc ps --help", cwd=ROOT / "docs").stdout) == f"{ROOT}/wbc ps"
+
+
+@pytest.mark.parametrize(
+    ("typed", "command"),
+    [("trial --colour red", "trial"), ("netem show", "netem show"), ("no-such", "")],
+)
+def test_a_mistake_is_one_line_of_the_command_it_is_in(typed: str, command: str) -> None:
+    refused = ran(f"./wbc {typed}")
+    assert refused.returncode == 2
+    assert refused.stdout == ""
+    (line,) = refused.stderr.splitlines()
+    assert line.startswith(f"./wbc {command}".rstrip() + ": error: ")
+    assert line.endswith("(try --help)")
+
+
+def test_a_look_at_what_runs_loads_no_mathematics() -> None:
+    code = (
+        "import sys; sys.argv = ['wbc', 'ps', '--help']\n"
+        "import remote_wbc\n"
+        "try:\n"
+        "    remote_wbc.main()\n"
+        "except SystemExit:\n"
+        "    print({'numpy', 'pinocchio', 'zenoh'} & sys.modules.keys(), file=sys.stderr)\n"
+    )
+    done = subprocess.run(python("-c", code), capture_output=True, text=True, check=False)
+    assert done.stderr == "set()\n"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_completion_is_a_script_of_the_shell_without_a_fault(shell: str) -> None:
+    script = ran(f"./wbc completion {shell}").stdout
+    if shutil.which(shell) is None:
+        pytest.skip(f"no {shell} here")
+    checked = subprocess.run([shell, "-n"], input=script, capture_output=True, text=True)
+    assert (checked.returncode, checked.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("wbc tr", {"trial"}),
+        ("wbc netem conv", {"convert"}),
+        ("wbc trial --contr", {"--controller"}),
+        ("wbc viewer snapshot --an", {"--animation"}),
+    ],
+)
+def test_bash_completes_commands_and_options(typed: str, offered: set[str]) -> None:
+    words = " ".join(f"'{word}'" for word in typed.split())
+    script = (
+        'eval "$(./wbc completion bash)"\n'
+        f"COMP_WORDS=({words}); COMP_CWORD={len(typed.split()) - 1}\n"
+        "$(complete -p wbc | sed 's/.*-F \\([^ ]*\\).*/\\1/') wbc\n"
+        'printf "%s\\n" "${COMPREPLY[@]}"\n'
+    )
+    completed = ran(script)
+    assert {each.strip() for each in completed.stdout.split()} == offered, completed.stderr
