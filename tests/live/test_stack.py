@@ -305,7 +305,7 @@ def test_bad_messages_on_the_robots_key_are_counted_and_have_no_effect(
         (("edge_node", "--listen", "tls/127.0.0.1:7460"), "add --secure"),
         (("deploy", "up", "--only", "edge,robots"), "edge, netem, robot, viewer, router"),
         (("deploy", "up", "--only", "robot"), "--edge tls/HOST:7460"),
-        (("deploy", "up", "--secure", "/nonexistent"), "./deploy/keys"),
+        (("deploy", "up", "--secure", "/nonexistent"), "wbc keys /nonexistent"),
         (("robot_node", "--controller", "xx"), "expected one of la, lc, pr"),
     ],
 )
