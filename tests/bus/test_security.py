@@ -130,7 +130,7 @@ def refusal(folder: Path, role: str = "edge") -> str:
 
 
 def test_a_folder_that_is_not_there_says_how_to_make_it(tmp_path: Path):
-    assert f"./deploy/keys {tmp_path / 'keys'}" in refusal(tmp_path / "keys")
+    assert f"wbc keys {tmp_path / 'keys'}" in refusal(tmp_path / "keys")
 
 
 @pytest.mark.parametrize("name", ["ca.crt", "edge.crt", "edge.key"])
