@@ -81,7 +81,14 @@ def test_it_is_typed_as_it_can_be_from_where_one_is(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("typed", "command"),
-    [("trial --colour red", "trial"), ("netem show", "netem show"), ("no-such", "")],
+    [
+        ("trial --colour red", "trial"),
+        ("--colour trial", "trial"),
+        ("netem show", "netem show"),
+        ("netem", "netem"),
+        ("no-such", ""),
+        ("", ""),
+    ],
 )
 def test_a_mistake_is_one_line_of_the_command_it_is_in(typed: str, command: str) -> None:
     refused = ran(f"./wbc {typed}")

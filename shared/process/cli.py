@@ -117,13 +117,14 @@ def _add_commands(
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in commands:
         subparser = subparsers.add_parser(command.name, help=command.help, description=command.help)
+        subparser.set_defaults(parser=subparser)
         if typed is not None and typed[:1] != [command.name]:
             continue
         if isinstance(command, Group):
             _add_commands(subparser, command.commands, None if typed is None else typed[1:])
         else:
             command.add_arguments(subparser)
-            subparser.set_defaults(run_command=command.run, parser=subparser)
+            subparser.set_defaults(run_command=command.run)
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
