@@ -16,11 +16,14 @@ _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 
 
-async def start_process(command: Sequence[str]) -> Process:
-    """Start it without input; both its outputs are its `stdout`."""
+async def start_process(command: Sequence[str], *, held: bool = False) -> Process:
+    """Start it without input; both its outputs are its `stdout`.
+
+    With `held` its input ends when `stdin` is closed.
+    """
     return await asyncio.create_subprocess_exec(
         *command,
-        stdin=asyncio.subprocess.DEVNULL,
+        stdin=asyncio.subprocess.PIPE if held else asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.STDOUT,
         start_new_session=True,

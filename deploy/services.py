@@ -4,7 +4,8 @@ Keys of a service; those it leaves out are in the table [defaults]:
 
     command         arguments of `python -m`
     after           services that have to be ready before it starts, where they run here too
-    takes           flags it is given: config, telemetry, out, name, secure
+    takes           flags it is given: config, telemetry, out, name, secure; held: it loads at once,
+                    and then waits until what it comes `after` is ready
     report          stem of the files it leaves in the run's folder, if any
     port            where it listens for other machines unless --listen says otherwise; 0: nowhere
     by_default      whether it runs without being named in --only
@@ -29,7 +30,8 @@ from shared.errors import ConfigError
 
 FILE = Path(__file__).with_name("services.toml")
 OUTCOME, FAILURE, IGNORED = "outcome", "failure", "ignored"
-FLAGS = ("config", "telemetry", "out", "name", "secure")
+HELD = "held"
+FLAGS = ("config", "telemetry", "out", "name", "secure", HELD)
 _RESTART = re.compile(r"no|on-failure:([1-9]\d?)")
 
 

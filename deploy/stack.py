@@ -31,7 +31,7 @@ from deploy.console.terminal import Terminal
 from deploy.console.watch import open_hub, status_of, tell
 from deploy.outcome import keep_report, record, summarise
 from deploy.plan import ROBOT, VIEWER, Plan, PlannedService
-from deploy.services import IGNORED, OUTCOME, Service
+from deploy.services import HELD, IGNORED, OUTCOME, Service
 from deploy.supervisor import Launch, Supervisor
 from shared.commands import wbc
 from shared.config.settings import RunConfig
@@ -142,6 +142,9 @@ class StackRun:
 
     async def _play(self) -> int:
         for step in self._run.plan.steps:
+            if HELD in step.service.takes:
+                await self._supervisor.load(self._launch(step))
+        for step in self._run.plan.steps:
             starting = asyncio.create_task(self._supervisor.start(self._launch(step)))
             stopping = asyncio.create_task(self._stop.wait())
             await asyncio.wait({starting, stopping}, return_when=asyncio.FIRST_COMPLETED)
@@ -214,7 +217,9 @@ class StackRun:
         }
         command = python("-m", *step.arguments)
         for flag in step.service.takes:
-            if values[flag] is not None:
+            if flag == HELD:
+                command += [f"--{flag}"]
+            elif values[flag] is not None:
                 command += [f"--{flag}", str(values[flag])]
         ready = step.service.ready_seconds + run.config.loop.connect_timeout
         return Launch(step.service, tuple(command), ready_seconds=ready)

@@ -22,7 +22,7 @@ from deploy.background.state import (
     exit_in_words,
 )
 from deploy.process import kill_group, start_process, terminate
-from deploy.services import IGNORED, OUTCOME, Service
+from deploy.services import HELD, IGNORED, OUTCOME, Service
 from shared.commands import wbc
 from shared.errors import ConfigError, LinkError
 
@@ -75,10 +75,17 @@ class Supervisor:
         self._children: dict[str, _Child] = {}
         self._ended: asyncio.Queue[tuple[Service, int]] = asyncio.Queue()
 
+    async def load(self, launch: Launch) -> None:
+        """Begin the process of a service that waits, when it has loaded, for its `start`."""
+        await self._begin(_Child(launch))
+
     async def start(self, launch: Launch) -> None:
         """Start a service and wait until it is ready; `LinkError` with its last line if not."""
-        child = _Child(launch)
-        await self._spawn(child)
+        child = self._children.get(launch.service.name)
+        if child is None:
+            child = _Child(launch)
+            await self._begin(child)
+        await self._become_ready(child)
         child.watch = asyncio.create_task(self._watch(child))
 
     async def restart(self, name: str) -> None:
@@ -156,12 +163,17 @@ class Supervisor:
             await self._end(child)
             self._put(child, ENDED)
 
-    async def _spawn(self, child: _Child) -> None:
+    async def _begin(self, child: _Child) -> None:
         child.ready.clear()
-        child.process = await start_process(child.launch.command)
+        held = HELD in child.launch.service.takes
+        child.process = await start_process(child.launch.command, held=held)
         child.reader = asyncio.create_task(self._read(child))
         self._children[child.name] = child
         self._put(child, STARTING)
+
+    async def _become_ready(self, child: _Child) -> None:
+        if child.process.stdin is not None:
+            child.process.stdin.close()
         ready = asyncio.create_task(child.ready.wait())
         done, _ = await asyncio.wait(
             {ready, child.reader},
@@ -227,7 +239,8 @@ class Supervisor:
         await self._end(child)
         self._before_restart(child.launch.service)
         child.restarts += 1
-        await self._spawn(child)
+        await self._begin(child)
+        await self._become_ready(child)
         self._say(child.name, f"ready again (pid {child.process.pid})")
 
     async def _finish(self, child: _Child) -> None:

@@ -24,6 +24,7 @@ from shared.process.service import (
     StopSignal,
     add_service_arguments,
     identity_from,
+    wait_while_held,
 )
 from shared.robots import load_robot
 from shared.telemetry.schema import SOLVE_SCHEMA
@@ -47,6 +48,7 @@ def main() -> int:
     robot = load_robot(config.robot.name)
     node = EdgeNode(robot, config, make_motion(robot, config))
     me = identity_from(arguments, role=EDGE, kind=robot.name)
+    wait_while_held(arguments)
     stop = StopSignal()
     scheduling = prepare(priority=_PRIORITY)
     if arguments.connect is None:

@@ -25,6 +25,7 @@ from shared.process.service import (
     StopSignal,
     add_service_arguments,
     identity_from,
+    wait_while_held,
 )
 from shared.telemetry.schema import LINK_SCHEMA
 from shared.wire.channels import DOWNLINK, LINK_KEY, UPLINK
@@ -56,8 +57,9 @@ def run_replay(arguments: argparse.Namespace) -> int:
         arguments, direct="direct means no shim at all; the robot dials the edge itself"
     )
     profile = load_network(config.link.network)
-    stop = StopSignal()
     me = identity_from(arguments, role=NETEM, kind=config.robot.name)
+    wait_while_held(arguments)
+    stop = StopSignal()
     scheduling = prepare(priority=_PRIORITY)
     near = ZenohBus(
         listen=[arguments.listen], largest=DOWNLINK.max_bytes, credentials=me.credentials

@@ -37,6 +37,7 @@ from shared.process.service import (
     StopSignal,
     add_service_arguments,
     identity_from,
+    wait_while_held,
 )
 from shared.robots import load_robot
 from shared.wire.channels import DOWNLINK, TICKS_KEY, UPLINK
@@ -59,8 +60,9 @@ def main() -> int:
     robot = load_robot(config.robot.name)
     motion = make_motion(robot, config)
     me = identity_from(arguments, role=None, kind=robot.name)
-    stop = StopSignal()
     node = RobotNode(robot, config, motion, start_computer=partial(WorkerComputer, config))
+    wait_while_held(arguments)
+    stop = StopSignal()
     scheduling = prepare(priority=_PRIORITY)
     bus = ZenohBus.dial(
         arguments.connect,

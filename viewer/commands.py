@@ -13,7 +13,7 @@ from pathlib import Path
 from shared.config.config_file import load_config
 from shared.errors import UserError
 from shared.process.cli import EXIT_STANDING
-from shared.process.service import StopSignal
+from shared.process.service import StopSignal, add_held_argument, wait_while_held
 from viewer.display import VIEWS
 from viewer.live import watch
 from viewer.recording import record
@@ -28,6 +28,7 @@ def add_live_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--view", choices=VIEWS, default="native", help="(default %(default)s)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="also write DIR/recording.rrd")
+    add_held_argument(parser)
 
 
 def add_record_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,6 +88,7 @@ def _leaving_at_once(
 
 @_leaving_at_once
 def run_live(arguments: argparse.Namespace) -> int:
+    wait_while_held(arguments)
     stop = StopSignal()
     watch(
         load_config(arguments.config),

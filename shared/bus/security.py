@@ -14,17 +14,10 @@ from __future__ import annotations
 import re
 import ssl
 from dataclasses import dataclass
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from cryptography import x509
-from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives import serialization
-from cryptography.x509.oid import NameOID
-
 from shared.bus.endpoint import SECURE_PROTOCOLS
-from shared.commands import wbc
 from shared.errors import ConfigError
 from shared.wire.channels import DOWNLINK, UPLINK
 
@@ -33,7 +26,6 @@ DEFAULT_FOLDER = "keys"
 _ANY_ROBOT = "*"
 _ROBOT = "robot-"
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,30}")
-_REMEDY = "copy it from where `wbc keys` made it"
 
 
 def certificate_file(folder: Path, role: str) -> Path:
@@ -102,7 +94,10 @@ class Credentials:
         """Credentials of a role that deals with `robots`; None: those with a certificate in the
         folder. `ConfigError` says which file is missing, has expired or does not belong.
         """
-        _check_files(folder, role)
+        # Imported here: it takes long, and only secured connections need it.
+        from shared.bus.certificates import check_files
+
+        check_files(folder, role)
         if robots is None:
             files = sorted(folder.glob(f"{_ROBOT}*.crt"))
             robots = tuple(file.stem.removeprefix(_ROBOT) for file in files)
@@ -174,62 +169,3 @@ def _rule(name: str, messages: list[str], flow: str, key: str) -> dict[str, Any]
         "permission": "allow",
         "key_exprs": [key],
     }
-
-
-def _check_files(folder: Path, role: str) -> None:
-    """The files of a role are there, belong together and are valid today."""
-    if not folder.is_dir():
-        raise ConfigError(
-            f"secure: expected a folder of certificates, {folder} is none; make them with "
-            f"{wbc(f'keys {folder}')}, or copy them from where they were made"
-        )
-    authority = _load_certificate(certificate_file(folder, AUTHORITY))
-    path = certificate_file(folder, role)
-    certificate = _load_certificate(path)
-    key_path = key_file(folder, role)
-    try:
-        key = serialization.load_pem_private_key(_read(key_path), password=None)
-    except (ValueError, TypeError):
-        raise ConfigError(f"secure: {key_path} is not a private key in PEM; {_REMEDY}") from None
-    if key.public_key() != certificate.public_key():
-        raise ConfigError(f"secure: {key_path} is not the key of {path.name}; copy both again")
-    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    if [name.value for name in names] != [role]:
-        raise ConfigError(
-            f"secure: expected {path} to name {role!r}, it names "
-            f"{certificate.subject.rfc4514_string()!r}; {_REMEDY}"
-        )
-    try:
-        certificate.verify_directly_issued_by(authority)
-    except (ValueError, TypeError, InvalidSignature):
-        raise ConfigError(
-            f"secure: {path} is not signed by the ca.crt beside it; copy both from one folder"
-        ) from None
-
-
-def _load_certificate(path: Path) -> x509.Certificate:
-    try:
-        certificate = x509.load_pem_x509_certificate(_read(path))
-    except ValueError:
-        raise ConfigError(f"secure: {path} is not a certificate in PEM; {_REMEDY}") from None
-    now = datetime.now(timezone.utc)
-    if now > certificate.not_valid_after_utc:
-        raise ConfigError(
-            f"secure: {path} expired on {certificate.not_valid_after_utc:%Y-%m-%d}; remove it and "
-            "its key where they were made, and make new ones with `wbc keys DIR --add`"
-        )
-    if now < certificate.not_valid_before_utc:
-        raise ConfigError(
-            f"secure: {path} is valid from {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC, "
-            f"this machine's clock says {now:%Y-%m-%d %H:%M}; set the clock"
-        )
-    return certificate
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise ConfigError(f"secure: {path.parent} has no {path.name}; {_REMEDY}") from None
-    except OSError as error:
-        raise ConfigError(f"secure: cannot read {path}: {error.strerror}") from None

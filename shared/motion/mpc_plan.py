@@ -31,7 +31,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from shared.errors import ConfigError
 from shared.motion.com_plan import ComPlan, ZmpSegment
@@ -144,6 +143,9 @@ def _samples(phases: Sequence[SupportPhase], position: np.ndarray) -> list[_Samp
 
 def _half_planes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Inward normals (m, 2) and offsets (m,) of the hull of `corners`, shrunk by `MARGIN`."""
+    # Imported here: it takes long, and only this plan needs it.
+    from scipy.spatial import ConvexHull
+
     equations = ConvexHull(corners).equations
     return -equations[:, :2], equations[:, 2] + MARGIN
 

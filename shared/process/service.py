@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import signal
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -48,7 +49,23 @@ def add_service_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--telemetry", metavar="ENDPOINT", help="hub to publish measurements to, never the link"
     )
+    add_held_argument(parser)
     add_identity_arguments(parser)
+
+
+def add_held_argument(parser: argparse.ArgumentParser) -> None:
+    """Whether to wait, once loaded."""
+    parser.add_argument(
+        "--held",
+        action="store_true",
+        help="load, then wait for the end of standard input before connecting",
+    )
+
+
+def wait_while_held(arguments: argparse.Namespace) -> None:
+    """With `--held`, until standard input ends. Called while a signal still ends the process."""
+    if arguments.held:
+        sys.stdin.read()
 
 
 def add_identity_arguments(parser: argparse._ActionsContainer) -> None:

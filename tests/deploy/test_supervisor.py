@@ -28,6 +28,13 @@ SLEEPS = "print('READY', flush=True); __import__('time').sleep(3600)"
 DEAF = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(3600)"
 
 
+# Loads, and goes on when its input ends.
+HELD = (
+    "import sys; print('loaded', flush=True); sys.stdin.read(); print('READY', flush=True); "
+    "__import__('time').sleep(3600)"
+)
+
+
 class Run:
     """A supervisor, and what it said and did."""
 
@@ -41,15 +48,20 @@ class Run:
             before_restart=lambda service: self.restarted.append(service.name),
         )
 
-    async def start(
-        self, name: str, code: str, *, ready_seconds: float = PATIENCE_SECONDS, **changes
-    ) -> None:
-        service = dataclasses.replace(load_services()[name], **changes)
-        command = tuple(python("-c", code))
-        await self.supervisor.start(Launch(service, command, ready_seconds))
+    async def start(self, name: str, code: str, **changes) -> None:
+        await self.supervisor.start(launch(name, code, **changes))
+
+    async def wait_for(self, line: str) -> None:
+        while line not in self.output:
+            await asyncio.sleep(0.01)
 
     def state(self, name: str) -> str:
         return next(each.state for each in self.supervisor.states() if each.name == name)
+
+
+def launch(name: str, code: str, *, ready_seconds: float = PATIENCE_SECONDS, **changes) -> Launch:
+    service = dataclasses.replace(load_services()[name], **changes)
+    return Launch(service, tuple(python("-c", code)), ready_seconds)
 
 
 def played(folder: Path, scenario):
@@ -77,6 +89,40 @@ def test_a_service_is_ready_with_its_line_and_its_output_is_kept(tmp_path: Path)
 
     played(tmp_path, scenario)
     assert (tmp_path / "edge.log").read_text() == "hello\nREADY\n"
+
+
+def test_services_load_at_once_and_become_ready_one_after_the_other(tmp_path: Path):
+    async def scenario(run: Run):
+        launches = [launch(name, HELD) for name in ("edge", "netem")]
+        for each in launches:
+            await run.supervisor.load(each)
+        await run.wait_for("edge: loaded")
+        await run.wait_for("netem: loaded")
+        for each in launches:
+            await run.supervisor.start(each)
+        assert run.output[2:] == ["edge: READY", "netem: READY"]
+
+    played(tmp_path, scenario)
+
+
+def test_a_service_that_ends_while_it_is_held_is_told_when_it_is_its_turn(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.supervisor.load(launch("netem", "print('error: no room'); raise SystemExit(2)"))
+        await run.start("edge", HELD)
+        with pytest.raises(LinkError, match=r"netem did not start \(exit 2\): no room"):
+            await run.start("netem", "")
+
+    played(tmp_path, scenario)
+
+
+def test_services_that_are_still_held_end_with_the_others(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.supervisor.load(launch("robot", HELD))
+        await run.start("edge", HELD)
+        await run.wait_for("robot: loaded")
+
+    played(tmp_path, scenario)
+    assert "READY" not in (tmp_path / "robot.log").read_text()
 
 
 def test_a_service_that_ends_before_it_is_ready_is_told_with_its_last_line(tmp_path: Path):
