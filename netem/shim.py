@@ -19,12 +19,8 @@ from netem.delay_line import DelayLine, Due, make_lines
 from netem.profile import Profile
 from shared.bus.base import Delivery, Publisher
 from shared.config.settings import LinkConfig
-from shared.telemetry.schema import LINK_SCHEMA
 
 _IDLE_SECONDS = 0.1
-# A sleeping thread wakes some 60 µs late; that much is spun. More is taken from the edge
-# (`docs/timing.md`).
-_SPIN_NS = 80_000
 # Messages of each direction released before the next look at what is due: at an outage's end
 # hundreds leave in one direction, which must not hold the other back.
 _BATCH = 4
@@ -46,7 +42,8 @@ class Shim:
     """Delays messages both ways. `receive` is given to the buses, `run` to a thread.
 
     `row` gives the next row of `LINK_SCHEMA` to fill. `clock` names the clock of this machine as
-    envelopes do; 0 is none, and believes no stamp.
+    envelopes do; 0 is none, and believes no stamp. The last `spin_ns` before a message is due are
+    spun, not slept.
     """
 
     def __init__(
@@ -59,7 +56,9 @@ class Shim:
         row: Callable[[], np.ndarray],
         clock: int,
         say: Callable[[str], None],
+        spin_ns: int = 0,
     ) -> None:
+        self._spin_ns = spin_ns
         self._profile = profile
         self._config = config
         self._seed = seed
@@ -137,7 +136,7 @@ class Shim:
                 self._changed.wait(_IDLE_SECONDS)
                 return False
             due_ns = min(due)
-            sleep_ns = due_ns - time.monotonic_ns() - _SPIN_NS
+            sleep_ns = due_ns - time.monotonic_ns() - self._spin_ns
             if sleep_ns > 0:
                 # Not for all of a long outage: we may have to stop.
                 self._changed.wait(min(sleep_ns * 1e-9, _IDLE_SECONDS))
@@ -172,11 +171,13 @@ def record_message(
     row: np.ndarray, direction: int, due: Due[Delivery], *, released_ns: int | None
 ) -> None:
     """Fill a row of `LINK_SCHEMA`; `released_ns` None for a message the link lost."""
-    columns = LINK_SCHEMA.slices
     envelope = due.item.envelope
-    row[columns["wall_ns"]] = due.sent_ns
-    row[columns["direction"]] = direction
-    row[columns["sequence"]] = -1 if envelope is None else envelope.sequence
-    row[columns["bytes"]] = len(due.item.data)
-    row[columns["nominal_ns"]] = due.nominal_ns
-    row[columns["achieved_ns"]] = -1 if released_ns is None else released_ns - due.sent_ns
+    # In the order of the schema's columns.
+    row[:] = (
+        due.sent_ns,
+        direction,
+        -1 if envelope is None else envelope.sequence,
+        len(due.item.data),
+        due.nominal_ns,
+        -1 if released_ns is None else released_ns - due.sent_ns,
+    )

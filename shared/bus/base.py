@@ -10,14 +10,12 @@ import secrets
 import struct
 import threading
 from collections import Counter, deque
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 _ENVELOPE = struct.Struct("<IIqI")
 
 
-@dataclass(frozen=True, slots=True)
-class Envelope:
+class Envelope(NamedTuple):
     """`session` tells one publisher from another, `sequence` counts its messages, `sent_ns` is its
     clock when it sent, `clock` names that clock: two machines have different ones.
     """
@@ -29,7 +27,7 @@ class Envelope:
 
     def encode(self) -> bytes:
         """Twenty bytes."""
-        return _ENVELOPE.pack(self.session, self.sequence, self.sent_ns, self.clock)
+        return _ENVELOPE.pack(*self)
 
     @staticmethod
     def decode(data: bytes | None) -> Envelope | None:
@@ -39,8 +37,7 @@ class Envelope:
         return Envelope(*_ENVELOPE.unpack(data))
 
 
-@dataclass(frozen=True, slots=True)
-class Delivery:
+class Delivery(NamedTuple):
     """A message as it arrived."""
 
     data: bytes
