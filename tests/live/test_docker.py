@@ -67,7 +67,13 @@ class Docker:
     ) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             command,
-            env={**os.environ, "DOCKER_HOST": f"unix://{self.folder}/socket", **environment},
+            env={
+                **os.environ,
+                "DOCKER_HOST": f"unix://{self.folder}/socket",
+                # To compose 1: the storage copies whole images, and takes minutes to remove them.
+                "COMPOSE_HTTP_TIMEOUT": str(round(10 * MINUTE)),
+                **environment,
+            },
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -186,7 +192,7 @@ def test_romeo_stands_through_both_networks_and_all_is_in_its_files(
         assert _networks(docker, "robot") == {"remote-wbc_robot-side"}
         assert _networks(docker, "edge") == {"remote-wbc_edge-side"}
     finally:
-        docker.run(*docker.compose("down", "--volumes"), seconds=5 * MINUTE)
+        docker.run(*docker.compose("down", "--volumes"), seconds=15 * MINUTE)
     assert not any(docker.left().values())
 
     files = {file.name for file in (tmp_path / "runs").iterdir()}
