@@ -1,0 +1,169 @@
+"""Checks the words that people read against the rules of CONTRIBUTING.md: see `main`.
+
+Reads the Markdown pages and, from the Python sources, the docstrings, the help texts and the texts
+of errors. Prints one line for each place that breaks a rule: file, line, rule, and the words.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+MAX_WORDS = 32
+# Words that begin a clause, where a docstring needs a verb or a noun.
+CLAUSES = frozenset(
+    ("What", "Where", "Who", "Whoever", "Whom", "Whose", "Which", "When", "Whether", "Why", "How")
+    + ("Of", "Those", "That", "Until", "If")
+)
+PHRASES = {
+    r"\b(?:who|what|which|where|when|how)ever\b": "name the person or the thing",
+    r"\bwhat (?:is|are|was|were|has|have)\b": "name the thing",
+    r"\bso (?:many|much)\b": "give the number, or leave it out",
+    r"\bof (?:ours|theirs|its own|their own|one's own)\b": "say whose: the project's, the user's",
+    r"\bnobody(?:'s)?\b": "say what there is not: no process, no user",
+    r"\bthose that\b": "name the things",
+    r"\b(?:color|behavior|center|neighbor|meter)s?\b": "British: colour, behaviour, centre …",
+    r"\b\w+(?:ptimiz|actoriz|ormaliz|inimiz|aximiz|ynchroniz|ecogniz)\w*\b": "British: -ise",
+}
+# Prose of other people, and results that commands write.
+SKIPPED = ("docs/results", "docs/benchmarks", "docs/figures", "LICENSE")
+
+
+@dataclass(frozen=True)
+class Text:
+    """Words at a place; a `docstring` has to begin with a verb or a noun."""
+
+    file: str
+    line: int
+    words: str
+    docstring: bool = False
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A broken rule: what to do about it, and the words."""
+
+    text: Text
+    advice: str
+    words: str
+
+    def __str__(self) -> str:
+        return f"{self.text.file}:{self.text.line}: {self.advice}: {self.words!r}"
+
+
+def findings(text: Text) -> Iterator[Finding]:
+    """Every rule that a text breaks."""
+    words = _without_code(text.words)
+    if text.docstring and (first := words.split()[:1]) and first[0].strip(",:;.") in CLAUSES:
+        yield Finding(text, "begin with a verb or a noun", _short(words))
+    for pattern, advice in PHRASES.items():
+        for found in re.finditer(pattern, words, re.IGNORECASE):
+            yield Finding(text, advice, _short(words[max(0, found.start() - 30) :]))
+    for sentence in _sentences(words):
+        count = len(sentence.split())
+        if count > MAX_WORDS:
+            yield Finding(text, f"{count} words: make two sentences", _short(sentence))
+
+
+def texts(files: list[str]) -> Iterator[Text]:
+    """The words in some files of the project."""
+    for name in files:
+        source = (ROOT / name).read_text(encoding="utf-8")
+        if name.endswith(".md"):
+            yield from _of_page(name, source)
+        elif name.endswith(".py"):
+            yield from _of_module(name, ast.parse(source))
+
+
+def tracked() -> list[str]:
+    """The project's pages and product modules."""
+    listed = subprocess.run(
+        ["git", "-C", str(ROOT), "ls-files", "*.md", "*.py"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return [
+        name
+        for name in listed.stdout.splitlines()
+        if not name.startswith((*SKIPPED, "tests/")) and (ROOT / name).is_file()
+    ]
+
+
+def _of_page(name: str, source: str) -> Iterator[Text]:
+    """Paragraphs, items and cells: no code, no formulas, no headings."""
+    in_code = False
+    paragraph: list[str] = []
+    begun = 1
+    for number, line in enumerate([*source.splitlines(), ""], start=1):
+        if line.lstrip().startswith("```"):
+            in_code = not in_code
+        plain = line.strip()
+        ends = in_code or not plain or plain[0] in "#|`<!" or line.startswith("    ")
+        item = re.match(r"[*+-] |\d+\. |> ", plain)
+        if (ends or item) and paragraph:
+            yield Text(name, begun, " ".join(paragraph))
+            paragraph = []
+        if plain.startswith("|") and not in_code:
+            for cell in plain.strip("|").split("|"):
+                yield Text(name, number, cell.strip())
+        if ends:
+            continue
+        if not paragraph:
+            begun = number
+        paragraph.append(plain)
+
+
+def _of_module(name: str, tree: ast.Module) -> Iterator[Text]:
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
+            if (docstring := ast.get_docstring(node)) is not None:
+                yield Text(name, node.body[0].lineno, docstring, docstring=True)
+        elif isinstance(node, ast.keyword) and node.arg in ("help", "description"):
+            yield Text(name, node.value.lineno, _literal(node.value))
+        elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            for argument in node.exc.args:
+                yield Text(name, argument.lineno, _literal(argument))
+
+
+def _literal(node: ast.AST) -> str:
+    """The constant words of a string; `…` for what is computed."""
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else "…"
+    if isinstance(node, ast.JoinedStr):
+        return "".join(_literal(part) for part in node.values)
+    if isinstance(node, ast.BinOp):
+        return _literal(node.left) + _literal(node.right)
+    return "…"
+
+
+def _without_code(words: str) -> str:
+    """The words with code, formulas and addresses as one word each."""
+    words = re.sub(r"\$[^$]*\$|`[^`]*`", "CODE", words)
+    words = re.sub(r"\]\([^)]*\)", "]", words)
+    return re.sub(r"\S*://\S*", "ADDRESS", words)
+
+
+def _sentences(words: str) -> list[str]:
+    return re.split(r"(?<=[.;:!?])\s+|\n\s*\n|\n\s*[*-] ", words)
+
+
+def _short(words: str) -> str:
+    return " ".join(words.split())[:70]
+
+
+def main() -> int:
+    """Print what breaks a rule; 1 if anything does. Arguments: files, else all of the project."""
+    found = [each for text in texts(sys.argv[1:] or tracked()) for each in findings(text)]
+    print(*found, sep="\n" if found else "", end="\n" if found else "")
+    return int(bool(found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
