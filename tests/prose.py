@@ -17,10 +17,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 MAX_WORDS = 32
 # Words that begin a clause, where a docstring needs a verb or a noun.
-CLAUSES = frozenset(
-    ("What", "Where", "Who", "Whoever", "Whom", "Whose", "Which", "When", "Whether", "Why", "How")
-    + ("Of", "Those", "That", "Until", "If")
-)
+CLAUSES = {"What", "Where", "When", "Whether", "Why", "How", "Of", "Those", "That", "Until", "If"}
+CLAUSES |= {"Who", "Whoever", "Whom", "Whose", "Which"}
 PHRASES = {
     r"\b(?:who|what|which|where|when|how)ever\b": "name the person or the thing",
     r"\bwhat (?:is|are|was|were|has|have)\b": "name the thing",
