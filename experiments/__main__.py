@@ -12,6 +12,7 @@ _STUDIES = "experiments.studies"
 _REPRODUCTION = "experiments.reproduction"
 COMMANDS = (
     Subcommand("trial", "play one run and print its summary", "experiments.trial"),
+    Subcommand("link", "try each controller over a whole link", "experiments.link"),
     Subcommand("sweep", "play a study and print its table", f"{_STUDIES}.sweep"),
     Subcommand("run", "the paper's tables and figures", f"{_REPRODUCTION}.run", "reproduction"),
     Subcommand("report", "a page of what `run` has found", f"{_REPRODUCTION}.report"),

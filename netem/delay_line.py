@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from netem.profile import DIRECTIONS, LOST, Profile
+from netem.profile import DIRECTIONS, LOST, Profile, begin_ns
 from shared.config.quantities import Outage
 from shared.config.settings import LinkConfig
 
@@ -40,7 +40,7 @@ def make_lines(
             profile,
             direction,
             start_ns=start_ns,
-            offset_ns=profile.start_offset_ns(seed),
+            offset_ns=begin_ns(profile, config, seed=seed),
             loss=config.loss,
             keep_order=config.keep_order,
             outages=config.outages,

@@ -14,7 +14,7 @@ from netem.delay_line import make_lines
 from netem.link_options import add_link_arguments, link_config_from
 from netem.networks import load_network
 from netem.packet_pump import Way, pump, wait_for_packet
-from netem.profile import DIRECTIONS, Profile
+from netem.profile import DIRECTIONS, Profile, begin_ns
 from netem.tun import MAX_MTU, MIN_MTU, End, NamespacePair
 from shared.commands import python_module
 from shared.config.settings import RunConfig
@@ -99,7 +99,7 @@ def _move(
     start_ns = wait_for_packet(sources, stopping=lambda: stop.requested)
     if start_ns is None:
         return []
-    offset = profile.start_offset_ns(config.seed) * 1e-9
+    offset = begin_ns(profile, config.link, seed=config.seed) * 1e-9
     print(f"replaying {profile.name} from {offset:.3f} s", flush=True)
     lines = make_lines(profile, config.link, seed=config.seed, start_ns=start_ns)
     ways = [

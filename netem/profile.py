@@ -12,6 +12,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from shared.config.settings import LinkConfig
+
 LOST = -1
 # No link of use is slower; a larger number is an error of units.
 MAX_DELAY_MS = 3_600_000.0
@@ -93,6 +95,13 @@ class DelayProfile:
     def nominal_round_trip_ns(self) -> int:
         """Median uplink plus median downlink delay [ns], losses aside."""
         return int(sum(np.median(way[way != LOST]) for way in self.delays_ns))
+
+
+def begin_ns(profile: Profile, link: LinkConfig, *, seed: int) -> int:
+    """Return where in a profile a run begins [ns]: where `link` says, or where the seed draws."""
+    if link.start_ns is None:
+        return profile.start_offset_ns(seed)
+    return link.start_ns % profile.duration_ns
 
 
 def start_offset_ns(seed: int, periods: int, period_ns: int) -> int:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from netem.delay_line import DelayLine, Due, make_lines
-from netem.profile import Profile
+from netem.profile import Profile, begin_ns
 from shared.bus.base import Delivery, Publisher
 from shared.config.settings import LinkConfig
 
@@ -125,7 +125,7 @@ class Shim:
     def _start(self, start_ns: int) -> None:
         """The profile begins with the first message."""
         self._lines = make_lines(self._profile, self._config, seed=self._seed, start_ns=start_ns)
-        offset_ns = self._profile.start_offset_ns(self._seed)
+        offset_ns = begin_ns(self._profile, self._config, seed=self._seed)
         self._say(f"replaying {self._profile.name} from {offset_ns * 1e-9:.3f} s")
 
     def _wait_for_work(self) -> bool:

@@ -15,7 +15,14 @@ from functools import cached_property
 from operator import attrgetter
 
 from shared.config.controllers import CONTROLLERS
-from shared.config.quantities import Outage, Push, parse_angle, parse_outage, parse_push
+from shared.config.quantities import (
+    Outage,
+    Push,
+    parse_angle,
+    parse_duration_ns,
+    parse_outage,
+    parse_push,
+)
 from shared.config.setting import sections_of, setting
 from shared.errors import ConfigError
 
@@ -160,9 +167,20 @@ class LinkConfig:
         flag="--outage",
         metavar="389ms@1.2s",
     )
+    start: str = setting(
+        "",
+        help="where in the profile the run begins; empty: at a place that the seed draws",
+        flag="--network-start",
+        metavar="12.5s",
+    )
     uplink_bytes: int = setting(0, help="what a state counts as, 0: as it is", at_least=0)
     downlink_bytes: int = setting(0, help="what an answer counts as, 0: as it is", at_least=0)
     queue_bytes: int = setting(20 * 2**20, help="what finds room in a queue", at_least=1)
+
+    @cached_property
+    def start_ns(self) -> int | None:
+        """`start` [ns]; None if it is empty."""
+        return parse_duration_ns(self.start) if self.start else None
 
     @cached_property
     def outages(self) -> tuple[Outage, ...]:
@@ -374,7 +392,7 @@ class RunConfig:
                 "welded to the floor, got 'rigid'"
             )
         # Read here, where one in another form can still be refused.
-        _ = self.pushes, self.link.outages
+        _ = self.pushes, self.link.outages, self.link.start_ns
 
     @cached_property
     def pushes(self) -> tuple[Push, ...]:

@@ -1,0 +1,279 @@
+"""Tries a whole link: each controller balances in windows that cover it, and at its worst outages.
+
+`./wbc link FILE` answers the question whether the robot would stand on a link. Windows of some
+seconds follow one another from the beginning of the profile to its end; the robot is pushed in each
+of them. Further windows place the push at the beginning of the longest outages. The same command
+goes on after an interruption.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+
+from experiments.studies.study import Study
+from experiments.studies.study_file import make_study
+from experiments.studies.sweep import sweep, workers_from
+from netem.networks import CAPACITY, load_profile
+from netem.profile import DIRECTIONS, DelayProfile
+from netem.statistics import delays_ms, outages
+from shared.config.controllers import CONTROLLERS
+from shared.config.quantities import parse_push
+from shared.config.settings import RunConfig
+from shared.errors import ConfigError
+from shared.output.figure import save_figure
+from shared.output.text_table import aligned
+from shared.process.cli import EXIT_STANDING
+
+mpl.use("agg")
+from matplotlib import pyplot as plt
+
+_PUSH = "100N@1.0s:0.2s:+y"
+_AGE = "projector_age_ms.max"
+_STANDS, _FALLS = "tab:green", "tab:red"
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class LinkOutage:
+    """A span of a profile in which a direction passes nothing, or much too late [s]."""
+
+    direction: str
+    start: float
+    duration: float
+
+    @property
+    def end(self) -> float:
+        """The end of the span [s]."""
+        return self.start + self.duration
+
+
+def add_link_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `link`."""
+    parser.add_argument("network", metavar="NETWORK", help="a profile or a file, as --network")
+    parser.add_argument(
+        "--controller",
+        nargs="+",
+        default=["pr", "la", "lc"],
+        metavar="NAME",
+        help=f"some of {', '.join(CONTROLLERS)}; default: pr la lc",
+    )
+    parser.add_argument(
+        "--window", type=float, default=5.0, metavar="SECONDS", help="length of a window (5)"
+    )
+    parser.add_argument("--push", default=_PUSH, help=f"in each window; default {_PUSH}")
+    parser.add_argument(
+        "--worst", type=int, default=5, metavar="N", help="windows at the N longest outages (5)"
+    )
+    parser.add_argument("--quick", action="store_true", help="the windows at the outages alone")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default runs/link-NETWORK")
+
+
+def run_link(arguments: argparse.Namespace) -> int:
+    """Play the windows that are missing. Print a line for each controller and the verdict."""
+    profile = load_profile(arguments.network.removeprefix(CAPACITY))
+    found = link_outages(profile)
+    starts = window_starts(
+        profile,
+        apart(found)[: arguments.worst],
+        window=arguments.window,
+        push_at=parse_push(arguments.push).start_ns * 1e-9,
+        covering=not arguments.quick,
+    )
+    study = study_of(
+        arguments.network,
+        starts=starts,
+        controllers=arguments.controller,
+        window=arguments.window,
+        push=arguments.push,
+    )
+    out = arguments.out or Path("runs") / study.name
+    played = sweep(study, out=out, workers=workers_from(arguments.workers))
+    rows = [{**row, "start": starts[row["cell"]]} for row in played]
+    text = "\n".join([*verdicts(rows, profile, found), "", *table(rows, found)])
+    picture = out / "link.png"
+    draw(rows, profile, picture)
+    try:
+        (out / "link.txt").write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
+    print(f"{text}\n{picture}")
+    return EXIT_STANDING
+
+
+def link_outages(profile: DelayProfile) -> list[LinkOutage]:
+    """The outages of both directions, the longest first."""
+    period = profile.period_ns * 1e-9
+    found = [
+        LinkOutage(direction, each.first * period, each.messages * period)
+        for direction in DIRECTIONS
+        for each in outages(delays_ms(profile, direction))
+    ]
+    return sorted(found, key=lambda each: -each.duration)
+
+
+def apart(found: Sequence[LinkOutage]) -> list[LinkOutage]:
+    """The outages in their order, without each that overlaps an earlier one.
+
+    A link that fails mostly fails both ways.
+    """
+    chosen: list[LinkOutage] = []
+    for each in found:
+        if all(each.end <= other.start or other.end <= each.start for other in chosen):
+            chosen.append(each)
+    return chosen
+
+
+def window_starts(
+    profile: DelayProfile,
+    worst: Sequence[LinkOutage],
+    *,
+    window: float,
+    push_at: float,
+    covering: bool,
+) -> dict[str, float]:
+    """Where windows begin in the profile [s], by their names.
+
+    With `covering`, windows follow one another over the whole profile. For each of `worst` there is
+    one whose push, `push_at` [s] after its beginning, comes at the beginning of the outage.
+    """
+    length = profile.duration_ns * 1e-9
+    starts: dict[str, float] = {}
+    if covering:
+        last = max(0.0, length - window)
+        for start in [*np.arange(0.0, last, window), last]:
+            starts[f"from {start:.3g} s"] = float(start)
+    for each in worst:
+        name = f"push at {each.start:.4g} s, {each.direction} out for {each.duration * 1e3:.0f} ms"
+        starts[name] = (each.start - push_at) % length
+    if not starts:
+        raise ConfigError(
+            "--quick: expected a link with outages, this one has none; leave --quick out"
+        )
+    return starts
+
+
+def study_of(
+    network: str, *, starts: dict[str, float], controllers: Sequence[str], window: float, push: str
+) -> Study:
+    """The trials of a link: each controller in each window."""
+    if not 2.0 <= window <= 3600.0:
+        raise ConfigError(f"--window: expected 2 to 3600 s, got {window:g}")
+    if parse_push(push).start_ns * 1e-9 >= window:
+        raise ConfigError(f"--push: expected it within the window of {window:g} s, got {push}")
+    name = network.rpartition("/")[2].rpartition(".")[0] or network
+    return make_study(
+        {
+            "name": f"link-{name.replace('/', '-').replace(':', '-')}",
+            "description": f"every controller over all of {network}",
+            "base": {
+                "link.network": network,
+                "duration": window,
+                "push": [push],
+                "wire.projector_dtype": RunConfig().wire.projector_dtype,
+            },
+            "grid": {"controller": list(dict.fromkeys(controllers))},
+            "cells": [
+                {"name": name, "link.start": f"{start:.6f}s"} for name, start in starts.items()
+            ],
+            "columns": ["fell", "task_seconds", _AGE],
+        },
+        seeds=1,
+    )
+
+
+def table(rows: Sequence[Row], found: Sequence[LinkOutage]) -> list[str]:
+    """A line for each controller: windows, falls, the longest outage met, the oldest answer."""
+    lines = [["controller", "windows", "stood", "longest outage met", "oldest answer used"]]
+    for controller, played in _by_controller(rows).items():
+        met = max((_met(row, found) for row in played), default=0.0)
+        ages = [row[_AGE] for row in played if row[_AGE] is not None]
+        lines.append(
+            [
+                controller.upper(),
+                str(len(played)),
+                str(sum(not row["fell"] for row in played)),
+                f"{met * 1e3:.0f} ms" if met else "none",
+                f"{max(ages):.0f} ms" if ages else "-",
+            ]
+        )
+    return aligned(lines)
+
+
+def verdicts(rows: Sequence[Row], profile: DelayProfile, found: Sequence[LinkOutage]) -> list[str]:
+    """A sentence for each controller, and one for each trial that ended with an error."""
+    said = []
+    for controller, played in _by_controller(rows).items():
+        fallen = [row for row in played if row["fell"]]
+        name = controller.upper()
+        if not fallen:
+            said.append(f"{name} stands in all {len(played)} windows.")
+            continue
+        said.append(f"{name} falls in {len(fallen)} of {len(played)} windows:")
+        for row in sorted(fallen, key=lambda row: row["start"]):
+            at = (row["start"] + row["task_seconds"]) % (profile.duration_ns * 1e-9)
+            met = _met(row, found)
+            reason = f" after an outage of {met * 1e3:.0f} ms" if met else ", with no outage before"
+            said.append(f"  at {at:.2f} s of the link{reason} ({row['cell']})")
+    said += [
+        f"{row['controller'].upper()}, {row['cell']}: {row['error']}"
+        for row in rows
+        if row["error"] is not None
+    ]
+    return said
+
+
+def draw(rows: Sequence[Row], profile: DelayProfile, path: Path) -> None:
+    """Draw the delays of the link over its time, and below them the windows of each controller."""
+    by_controller = _by_controller(rows)
+    figure, (above, below) = plt.subplots(
+        2, 1, sharex=True, figsize=(10.0, 5.5), height_ratios=[2.0, 1.0]
+    )
+    seconds = np.arange(profile.delays_ns.shape[1]) * profile.period_ns * 1e-9
+    for direction in DIRECTIONS:
+        delays = delays_ms(profile, direction)
+        above.plot(seconds, np.where(np.isfinite(delays), delays, np.nan), lw=0.8, label=direction)
+        lost = ~np.isfinite(delays)
+        above.plot(seconds[lost], np.zeros(lost.sum()), "x", color="k", ms=3)
+    above.set(ylabel="one-way delay [ms], × lost", title=profile.name)
+    above.legend(fontsize=8)
+    for height, played in enumerate(by_controller.values()):
+        for row in sorted(played, key=lambda row: bool(row["fell"])):
+            start, lasted = row["start"], row["task_seconds"]
+            below.plot(
+                [start, start + lasted],
+                [height, height],
+                lw=6,
+                solid_capstyle="butt",
+                color=_FALLS if row["fell"] else _STANDS,
+            )
+            if row["fell"]:
+                below.plot(start + lasted, height, "v", color="k", ms=8)
+    below.set_yticks(range(len(by_controller)), [name.upper() for name in by_controller])
+    below.set(xlabel="time on the link [s]; green: stood, red: fell, ▼ where", ylim=(-0.7, None))
+    save_figure(figure, path, what="picture")
+
+
+def _by_controller(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The rows of finished trials."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        played = found.setdefault(row["controller"], [])
+        if row["error"] is None:
+            played.append(row)
+    return found
+
+
+def _met(row: Row, found: Sequence[LinkOutage]) -> float:
+    """The duration of the longest outage that began within a trial [s]."""
+    start = row["start"]
+    end = start + row["task_seconds"]
+    return max((each.duration for each in found if start <= each.start < end), default=0.0)
