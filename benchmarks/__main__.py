@@ -10,9 +10,11 @@ from shared.process.cli import Subcommand, run, run_command
 
 COMMANDS = (
     Subcommand("capacity", "recorded delays given back", "benchmarks.commands"),
-    Subcommand("core", "where the time goes", "benchmarks.commands"),
+    Subcommand("core", "where the time goes; or ratios to another commit", "benchmarks.commands"),
+    Subcommand("floor", "what no Python can beat", "benchmarks.commands"),
     Subcommand("lockstep", "speed of a trial", "benchmarks.commands"),
     Subcommand("netem", "how exactly the link is emulated", "benchmarks.commands"),
+    Subcommand("peers", "beside TSID and placo, in ratios", "benchmarks.commands"),
     Subcommand(
         "real-path", "two namespaces and a slow cable, as root", "benchmarks.real_path.measure"
     ),

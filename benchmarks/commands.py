@@ -6,21 +6,65 @@ import argparse
 import signal
 import sys
 
-from benchmarks import capacity, core, lockstep, netem, viewer
+from benchmarks import against, capacity, core, floor, lockstep, netem, peers, viewer
 from shared.errors import ConfigError
 from shared.process.cli import EXIT_STANDING
 
 
 def add_core_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repetitions", type=int, default=2000)
+    parser.add_argument("--repetitions", type=int, default=2000, help="of single calls; 2000")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=2.0, help="of each trial; 2")
+    parser.add_argument("--against", metavar="COMMIT", help="ratios to this commit instead")
+    parser.add_argument("--rounds", type=int, default=10, help="with --against; 10")
 
 
 def run_core(arguments: argparse.Namespace) -> int:
-    if arguments.repetitions < 1:
-        raise ConfigError(f"--repetitions: expected at least 1, got {arguments.repetitions}")
-    print(core.run(repetitions=arguments.repetitions, seed=arguments.seed))
+    _check_count("--repetitions", arguments.repetitions)
+    _check_count("--rounds", arguments.rounds)
+    # The first ticks of a trial are left out.
+    if not 0.2 <= arguments.seconds <= 60.0:
+        raise ConfigError(f"--seconds: expected 0.2 to 60, got {arguments.seconds:g}")
+    # A termination leaves no processes behind, nor another checkout.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    if arguments.against is not None:
+        print(against.run(arguments.against, rounds=arguments.rounds, seconds=arguments.seconds))
+    else:
+        print(
+            core.run(
+                repetitions=arguments.repetitions,
+                seed=arguments.seed,
+                seconds=arguments.seconds,
+            )
+        )
     return EXIT_STANDING
+
+
+def add_floor_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--repetitions", type=int, default=2000, help="of each call; 2000")
+
+
+def run_floor(arguments: argparse.Namespace) -> int:
+    _check_count("--repetitions", arguments.repetitions)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    print(floor.run(repetitions=arguments.repetitions))
+    return EXIT_STANDING
+
+
+def add_peers_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--rounds", type=int, default=40, help="of all states for each; 40")
+
+
+def run_peers(arguments: argparse.Namespace) -> int:
+    _check_count("--rounds", arguments.rounds)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    print(peers.run(rounds=arguments.rounds))
+    return EXIT_STANDING
+
+
+def _check_count(flag: str, count: int) -> None:
+    if count < 1:
+        raise ConfigError(f"{flag}: expected at least 1, got {count}")
 
 
 def add_netem_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,8 +97,7 @@ def add_lockstep_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_lockstep(arguments: argparse.Namespace) -> int:
-    if arguments.repetitions < 1:
-        raise ConfigError(f"--repetitions: expected at least 1, got {arguments.repetitions}")
+    _check_count("--repetitions", arguments.repetitions)
     if arguments.seconds is not None and not 0.1 <= arguments.seconds <= 3600.0:
         raise ConfigError(f"--seconds: expected 0.1 to 3600, got {arguments.seconds:g}")
     print(lockstep.run(repetitions=arguments.repetitions, seconds=arguments.seconds))
@@ -67,8 +110,7 @@ def add_viewer_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_viewer(arguments: argparse.Namespace) -> int:
-    if arguments.repetitions < 1:
-        raise ConfigError(f"--repetitions: expected at least 1, got {arguments.repetitions}")
+    _check_count("--repetitions", arguments.repetitions)
     # The viewer is disturbed after two seconds.
     if not 3.0 <= arguments.seconds <= 600.0:
         raise ConfigError(f"--seconds: expected 3 to 600, got {arguments.seconds:g}")

@@ -1,26 +1,26 @@
-"""The controller's parts, the whole robot tick, the whole edge step, and lockstep speed.
+"""Where the time goes: the robot's tick and the edge's step by their parts, messages, start-up.
 
-States are taken from a disturbed standing robot, so that active sets differ from call to call.
+The parts are timed in trials, where they are done (`benchmarks.in_loop`). What no trial does, other
+back ends of the QP and other levels of correction, is timed call after call, which takes half as
+long, at states of a disturbed standing robot, so that active sets differ from call to call.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
+from benchmarks import messages
+from benchmarks.in_loop import EDGE, NETWORK, NODES, WHOLE, Call, Part, ticks, timed_calls
+from benchmarks.start_up import SERVICES, import_ns
 from benchmarks.timing import Timing, header, measure, table
-from edge_node.node import EdgeNode
-from experiments.lockstep import Lockstep
-from robot_node.node import RobotNode
-from shared.config.config_file import load_config
-from shared.config.controllers import CONTROLLERS
 from shared.config.settings import CORRECTION_LEVELS, RunConfig
 from shared.motion.standing import Standing
+from shared.output.text_table import aligned
 from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Corrector, Factorisation, Iterate, factorise_kkt
@@ -35,9 +35,36 @@ from shared.wbc.projector import (
 )
 from shared.wbc.qp import DaqpSolver, ProxsuiteSolver, QuadraticProgram
 from shared.wbc.stack import Stack, StackMatrices
-from shared.wbc.torque import recover_torque
 
 _N_STATES = 64
+_STARTS = 5
+_TRIALS = (("balance", "pr"), ("balance", "la"), ("balance", "lc"), ("walk", "la"), ("walk", "lc"))
+# What is timed within the calls of the nodes, in the order of the table.
+PARTS = (
+    Part("robot_node.plant:MujocoPlant.state", "state of the plant"),
+    Part("robot_node.sensors:Sensors.measure", "sensors"),
+    Part("shared.motion.standing:Standing.reference", "reference"),
+    Part("shared.motion.walking:Walking.reference", "reference of the walk"),
+    Part("shared.wbc.model:WholeBodyModel.kinematics", "terms of b"),
+    Part("shared.wbc.stack:Stack.right_hand_side", "b"),
+    Part("shared.wire.codec:Codec.encode_state", "encode the state"),
+    Part("shared.wire.codec:Codec.decode_projector", "decode a projector"),
+    Part("shared.wire.codec:Codec.decode_factorisations", "decode factorisations"),
+    Part("shared.wire.codec:Codec.decode_state", "decode the state"),
+    Part("shared.wbc.model:WholeBodyModel.jacobians", "terms of A"),
+    Part("shared.wbc.stack:Stack.matrices", "A"),
+    Part("shared.wbc.whole_body:solve", "QP and projector"),
+    Part("shared.wbc.qp:DaqpSolver.solve", "solver"),
+    Part("shared.wbc.correction:Corrector.step", "correction"),
+    Part("shared.wbc.projector:Projector.apply", "apply the projector"),
+    Part("robot_node.controllers:recover_torque", "torque"),
+    Part("edge_node.node:recover_torque", "torque at the edge"),
+    Part("shared.wire.codec:Codec.rounded", "round the projector"),
+    Part("shared.wire.codec:Codec.encode_projector", "encode the projector"),
+    Part("robot_node.safety:TorqueGuard.accept", "guard"),
+    Part("robot_node.safety:JointHold.observe", "hold"),
+    Part("robot_node.tick_row:TickRow.fill", "row"),
+)
 _REFERENCE = "QP, all 61 unknowns, daqp cold"
 
 
@@ -61,27 +88,83 @@ class _Case:
     residual: np.ndarray
 
 
-def run(*, repetitions: int, seed: int) -> str:
-    """Measure everything; the table as text."""
+def run(*, repetitions: int, seed: int, seconds: float) -> str:
+    """Measure everything; the tables as text."""
     config = RunConfig()
     robot = load_robot(config.robot.name)
     top = header()
-    timings = [*_parts(robot, config, repetitions, seed), *_nodes(robot, config, repetitions)]
     return "\n".join(
         [
-            f"{top}; seed {seed}, {repetitions} repetitions",
+            f"{top}; seed {seed}",
             "",
-            table(timings, reference=_REFERENCE),
+            f"in trials of {seconds:g} s over {NETWORK}; [µs]",
+            *_in_trials(seconds),
             "",
-            _lockstep(),
+            f"call after call, {repetitions} times",
+            table(_alternatives(robot, config, repetitions, seed), reference=_REFERENCE),
+            "",
+            f"messages to and from another process, {messages.MESSAGES} at 1 kHz; processor time",
+            *aligned(messages.lines(messages.ours), left=1),
+            "",
+            "start-up: processor time of a Python that imports a service",
+            *_start_up(),
         ]
     )
 
 
-def _parts(robot: Robot, config: RunConfig, repetitions: int, seed: int) -> list[Timing]:
+def _in_trials(seconds: float) -> list[str]:
+    """For every trial a line per part, indented by what it is a part of."""
+    lines = [["", "per tick", "p50", "p99"]]
+    for task, controller in _TRIALS:
+        calls = timed_calls(
+            (*NODES, *PARTS), task, controller, seconds=seconds, clock=time.perf_counter_ns
+        )
+        lines.append([f"{task}, {controller.upper()}", "", "", ""])
+        whole = ticks(calls)
+        for name in (WHOLE, EDGE):
+            lines.append(_part_line(f"  {name}", whole[name], len(whole[WHOLE])))
+        lines += [
+            _part_line("  " * (len(path) + 1) + path[-1], durations, len(whole[WHOLE]))
+            for path, durations in _by_path(calls, warm_ticks=len(whole[WHOLE]))
+        ]
+    return aligned(lines, left=1)
+
+
+def _by_path(calls: Sequence[Call], *, warm_ticks: int) -> list[tuple[tuple[str, ...], np.ndarray]]:
+    """Durations of every path of the last ticks, a part after what it is a part of."""
+    measured = [k for k, (path, _) in enumerate(calls) if path == ("measure",)]
+    by_path: dict[tuple[str, ...], list[int]] = {}
+    for path, duration in calls[measured[-warm_ticks - 1] + 1 :]:
+        by_path.setdefault(path, []).append(duration)
+    order = [part.name for part in (*NODES, *PARTS)]
+    return sorted(
+        ((path, np.array(each)) for path, each in by_path.items()),
+        key=lambda found: [order.index(name) for name in found[0]],
+    )
+
+
+def _part_line(name: str, durations: np.ndarray, n_ticks: int) -> list[str]:
+    p50, p99 = np.percentile(durations, [50, 99]) * 1e-3
+    return [
+        name,
+        f"{len(durations) / n_ticks:.2f}",
+        f"{p50:.1f}",
+        f"{p99:.1f}",
+    ]
+
+
+def _start_up() -> list[str]:
+    lines = [["", "p50 [s]", "least–most"]]
+    for service in SERVICES:
+        seconds = [import_ns(f"{service}.__main__") * 1e-9 for _ in range(_STARTS)]
+        spread = f"{min(seconds):.2f}–{max(seconds):.2f}"
+        lines.append([service, f"{np.median(seconds):.2f}", spread])
+    return aligned(lines, left=1)
+
+
+def _alternatives(robot: Robot, config: RunConfig, repetitions: int, seed: int) -> list[Timing]:
     model = WholeBodyModel(robot)
     stack = Stack(robot, config.wbc, ContactMode.DOUBLE_SUPPORT)
-    reference = Standing(robot).reference(0)
     daqp, proxsuite = DaqpSolver(), ProxsuiteSolver()
     cases = _cases(robot, model, stack, config, seed)
 
@@ -89,10 +172,6 @@ def _parts(robot: Robot, config: RunConfig, repetitions: int, seed: int) -> list
         return measure(name, operation, cases, repetitions=repetitions)
 
     return [
-        timed("terms of b (robot)", lambda c: model.kinematics(c.q, c.v)),
-        timed("b", lambda c: stack.right_hand_side(c.kinematics, reference)),
-        timed("terms of A (edge)", lambda c: model.jacobians(c.q)),
-        timed("A", lambda c: stack.matrices(c.jacobians)),
         timed("condense to forces", lambda c: condense(stack, c.matrices, c.b)),
         timed("QP in forces, daqp cold", lambda c: daqp.solve(c.condensed.problem)),
         timed(
@@ -108,8 +187,6 @@ def _parts(robot: Robot, config: RunConfig, repetitions: int, seed: int) -> list
         timed("QP, all 61 unknowns, proxsuite cold", lambda c: proxsuite.solve(c.full)),
         timed("projector from active set", lambda c: factorise(stack, c.condensed, c.active)),
         timed("condense + QP + projector", lambda c: solve(stack, c.matrices, c.b, solver=daqp)),
-        timed("apply projector", lambda c: c.projector.apply(c.b)),
-        timed("torque recovery", lambda c: recover_torque(model, stack.contacts, c.q, c.v, c.y)),
         timed("blocks of the KKT inverse", lambda c: factorise_kkt(stack, c.matrices, c.q[7:])),
         timed("corrector from the blocks", lambda c: Corrector(stack, c.blocks, level="b")),
         *(
@@ -170,48 +247,3 @@ def _cases(
             )
         )
     return cases
-
-
-def _nodes(robot: Robot, config: RunConfig, repetitions: int) -> list[Timing]:
-    """Whole tick and whole step in closed loop, codec included, plant excluded."""
-    timings = []
-    for controller in CONTROLLERS:
-        changed = dataclasses.replace(config, controller=controller)
-        timings += _node(robot, changed, repetitions)
-    return timings
-
-
-def _node(robot: Robot, config: RunConfig, repetitions: int) -> list[Timing]:
-    robot_node = RobotNode(robot, config, Standing(robot), session=1)
-    edge_node = EdgeNode(robot, config, Standing(robot))
-    ticks, steps, plant = (np.empty(repetitions) for _ in range(3))
-    up = down = 0
-    for k in range(repetitions):
-        start = time.perf_counter_ns()
-        state = robot_node.measure(0)
-        measured = time.perf_counter_ns()
-        edge_node.receive(state)
-        answer = edge_node.step()
-        answered = time.perf_counter_ns()
-        if answer is not None and answer.data is not None:
-            robot_node.receive(answer.data)
-            down = max(down, len(answer.data))
-        command = robot_node.command(0)
-        ticks[k] = measured - start + time.perf_counter_ns() - answered
-        steps[k] = answered - measured
-        commanded = time.perf_counter_ns()
-        robot_node.advance(command)
-        plant[k] = time.perf_counter_ns() - commanded
-        up = max(up, len(state))
-    name = config.controller.upper()
-    return [
-        Timing.of(f"{name} robot tick: measure, receive, command", ticks),
-        Timing.of(f"{name} edge step (at most {up} B in, {down} B out)", steps),
-        Timing.of(f"{name} plant: MuJoCo step, standing", plant),
-    ]
-
-
-def _lockstep() -> str:
-    config = load_config(None, {"controller": "la", "link.network": "constant:50ms"})
-    factor = Lockstep(config).run().summary["realtime_factor"]
-    return f"lockstep balance, LA, 50 ms: {factor:.2f} × real time"

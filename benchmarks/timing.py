@@ -36,6 +36,39 @@ class Timing:
         return Timing(name, float(p50), float(p99))
 
 
+@dataclass(frozen=True)
+class Ratio:
+    """How many times as long as another operation one takes, both measured in alternating batches.
+
+    `p50` is the median, over the rounds, of the ratio of the two batches' medians, `least` and
+    `most` its extremes; `p99` the ratio of the 99th percentiles of all durations.
+    """
+
+    p50: float
+    least: float
+    most: float
+    p99: float
+
+    @staticmethod
+    def of(ours: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> Ratio:
+        """Of the durations in the batches of the same rounds."""
+        by_round = [
+            np.median(one) / np.median(other) for one, other in zip(ours, others, strict=True)
+        ]
+        ours_p99, others_p99 = (np.percentile(np.concatenate(each), 99) for each in (ours, others))
+        return Ratio(
+            p50=float(np.median(by_round)),
+            least=float(min(by_round)),
+            most=float(max(by_round)),
+            p99=float(ours_p99 / others_p99),
+        )
+
+    @property
+    def p50_text(self) -> str:
+        """`0.62 (0.60–0.65)`."""
+        return f"{self.p50:.2f} ({self.least:.2f}–{self.most:.2f})"
+
+
 def pin_to_one_core() -> str:
     """Keep this process on one core; says which."""
     try:
