@@ -8,7 +8,7 @@ another mode is never applied.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -55,18 +55,13 @@ class AnswerCache(ABC):
         self.newest_stamp_ns = -1
         self._codec = codec
         self._session = session
-        self._newest_sequence = -1
+        self._newest_sequence = self._newest_sent = -1
 
     def offer(self, data: bytes, *, newest_sent: int) -> bool:
         """Take a received message if it is good; `newest_sent` is the last state's sequence."""
+        self._newest_sent = newest_sent
         try:
             message = self._decode(data)
-            if message.session != self._session:
-                raise MessageRefused("session", "answers another start of the robot")
-            if message.sequence <= self._newest_sequence:
-                raise MessageRefused("stale", f"{message.sequence}")
-            if message.sequence > newest_sent:
-                raise MessageRefused("future", f"{message.sequence}")
             self._take(message)
         except MessageRefused as refusal:
             self.refused[refusal.reason] += 1
@@ -79,6 +74,15 @@ class AnswerCache(ABC):
     def held_sequences(self) -> tuple[int, ...] | None:
         """What to tell the edge is here, see `RobotState`."""
         return None
+
+    def _judge(self, session: int, sequence: int) -> None:
+        """`MessageRefused` if an answer is not wanted; its numbers are not looked at then."""
+        if session != self._session:
+            raise MessageRefused("session", "answers another start of the robot")
+        if sequence <= self._newest_sequence:
+            raise MessageRefused("stale", f"{sequence}")
+        if sequence > self._newest_sent:
+            raise MessageRefused("future", f"{sequence}")
 
     @abstractmethod
     def _decode(self, data: bytes) -> Any: ...
@@ -96,14 +100,16 @@ class ProjectorCache(AnswerCache):
         self._entries: dict[ContactMode, CacheEntry] = {}
 
     def _decode(self, data: bytes) -> ProjectorMessage:
-        return self._codec.decode_projector(data)
+        return self._codec.decode_projector(data, self._judge)
 
     def _take(self, message: ProjectorMessage) -> None:
         for timed in message.projectors:
-            entry = CacheEntry(timed, message.sequence, message.stamp_ns)
             if timed.projector.mode is message.mode:
-                entry = replace(entry, tau=message.tau, y=message.y)
+                solution = (message.tau, message.y)
+                entry = CacheEntry(timed, message.sequence, message.stamp_ns, False, *solution)
                 self.newest_solution = entry
+            else:
+                entry = CacheEntry(timed, message.sequence, message.stamp_ns)
             self.keep(entry)
 
     def keep(self, entry: CacheEntry) -> None:
@@ -156,7 +162,7 @@ class FactorisationCache(AnswerCache):
         )
 
     def _decode(self, data: bytes) -> FactorisationMessage:
-        return self._codec.decode_factorisations(data)
+        return self._codec.decode_factorisations(data, self._judge)
 
     def _take(self, message: FactorisationMessage) -> None:
         self.keep(message.factorisations, sequence=message.sequence, stamp_ns=message.stamp_ns)

@@ -44,7 +44,7 @@ class ContactMode(enum.IntEnum):
         Bit 20 k + i stands for row i of foot k, left before right.
         """
         first = self.feet_indices[0] * ROWS_PER_FOOT
-        return sum(1 << (first + int(row)) for row in rows)
+        return sum(1 << (first + row) for row in rows.tolist())
 
 
 _LOADED = {

@@ -2,12 +2,17 @@
 
 msgpack maps; arrays as raw little-endian `bin`. `decode_*` either returns a message whose shapes,
 types and numbers are right for this robot and configuration, or raises `MessageRefused` with the
-name of the check that failed. Order and freshness are judged later, by who keeps the newest.
+name of the check that failed. Order and freshness are judged by who keeps the newest.
+
+The two messages that cross the link each millisecond, a state and an answer of one projector, have
+a `Form`. What is not of a form, or in which anything is wrong, is decoded field by field, and there
+the reason is found.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import msgpack
@@ -23,13 +28,23 @@ from shared.wbc.reference import Motion
 from shared.wbc.stack import RowLayout, make_stacks
 from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
+from shared.wire.form import INTEGER, SMALL, Form, binary
 from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
 
 SCHEMA_VERSION = 2
 _STATE, _PROJECTOR, _FACTORISATION = "state", "projector", "factorisation"
 _MAX_INT = 2**63 - 1
 _SINGLE = np.dtype("<f4")
-_DTYPES: dict[str, np.dtype[Any]] = {"float64": np.dtype("<f8"), "float32": _SINGLE}
+_DOUBLE = np.dtype("<f8")
+_DTYPES: dict[str, np.dtype[Any]] = {"float64": _DOUBLE, "float32": _SINGLE}
+
+# Raises `MessageRefused` if an answer with this session and sequence is not wanted. It is asked
+# before the answer's numbers are looked at.
+Judge = Callable[[int, int], None]
+
+
+def _anything(session: int, sequence: int) -> None:
+    """Wants every answer."""
 
 
 class Codec:
@@ -48,8 +63,24 @@ class Codec:
         self._layouts: dict[ContactMode, RowLayout] = {
             mode: stack.layout for mode, stack in self._stacks.items()
         }
+        self._shapes = {
+            mode: (layout.n_unknowns, layout.n_rows) for mode, layout in self._layouts.items()
+        }
         self._layout_digests = {mode: layout.digest for mode, layout in self._layouts.items()}
         self._n_inequalities = {mode: len(stack.contacts.l) for mode, stack in self._stacks.items()}
+        self._state_form = self._make_state_form(None)
+        self._holding_form = self._make_state_form([INTEGER] * len(ContactMode))
+        self._answer_forms = {
+            (mode, name, n_active): self._make_answer_form(layout, name, n_active)
+            for mode, layout in self._layouts.items()
+            for name in _DTYPES
+            for n_active in range(layout.n_forces + 1)
+        }
+        # By the size of the message: the shape and number format of its projector, and its form.
+        self._answer_forms_by_size = {
+            form.size: (self._shapes[mode], name, form)
+            for (mode, name, _), form in self._answer_forms.items()
+        }
 
     def rounded(self, projector: Projector) -> Projector:
         """The projector as the other end will see it, after the wire's number format."""
@@ -58,21 +89,24 @@ class Codec:
 
     def encode_state(self, state: RobotState) -> bytes:
         """A `RobotState` as bytes, at most `UPLINK.max_bytes`."""
-        return self._pack(
-            _STATE,
-            UPLINK.max_bytes,
-            session=state.session,
-            sequence=state.sequence,
-            stamp_ns=state.stamp_ns,
-            time_ns=state.time_ns,
-            mode=int(state.mode),
-            q=state.q.tobytes(),
-            v=state.v.tobytes(),
-            holds=state.held_sequences,
+        held_sequences = state.held_sequences
+        form = self._state_form if held_sequences is None else self._holding_form
+        return form.write(
+            state.session,
+            state.sequence,
+            state.stamp_ns,
+            state.time_ns,
+            state.mode,
+            state.q.tobytes(),
+            state.v.tobytes(),
+            *(held_sequences or ()),
         )
 
     def decode_state(self, data: bytes) -> RobotState:
         """A checked `RobotState`; `MessageRefused` otherwise."""
+        state = self._read_state(data)
+        if state is not None:
+            return state
         fields = self._unpack(data, _STATE, UPLINK.max_bytes)
         return RobotState(
             session=_integer(fields, "session"),
@@ -87,6 +121,8 @@ class Codec:
 
     def encode_projector(self, message: ProjectorMessage) -> bytes:
         """A `ProjectorMessage` as bytes; `ConfigError` if it exceeds `DOWNLINK.max_bytes`."""
+        if len(message.projectors) == 1:
+            return self._write_answer(message, message.projectors[0])
         return self._pack(
             _PROJECTOR,
             DOWNLINK.max_bytes,
@@ -99,9 +135,14 @@ class Codec:
             projectors=[self._projector_fields(timed) for timed in message.projectors],
         )
 
-    def decode_projector(self, data: bytes) -> ProjectorMessage:
+    def decode_projector(self, data: bytes, judge: Judge = _anything) -> ProjectorMessage:
         """A checked `ProjectorMessage`; `MessageRefused` otherwise."""
+        message = self._read_answer(data, judge)
+        if message is not None:
+            return message
         fields = self._unpack(data, _PROJECTOR, DOWNLINK.max_bytes)
+        session, sequence = _integer(fields, "session"), _integer(fields, "sequence")
+        judge(session, sequence)
         mode = _mode(fields)
         entries = fields.get("projectors")
         if not isinstance(entries, list) or not 0 < len(entries) <= len(ContactMode):
@@ -110,8 +151,8 @@ class Codec:
         if not any(timed.projector.mode is mode for timed in projectors):
             raise MessageRefused("mode", f"no projector of {mode.name}, which the answer is for")
         return ProjectorMessage(
-            session=_integer(fields, "session"),
-            sequence=_integer(fields, "sequence"),
+            session=session,
+            sequence=sequence,
             stamp_ns=_integer(fields, "stamp_ns"),
             mode=mode,
             tau=_array(fields, "tau", (self._nv - 6,)),
@@ -130,18 +171,136 @@ class Codec:
             factorisations=[self._factorisation_fields(each) for each in message.factorisations],
         )
 
-    def decode_factorisations(self, data: bytes) -> FactorisationMessage:
+    def decode_factorisations(self, data: bytes, judge: Judge = _anything) -> FactorisationMessage:
         """A checked `FactorisationMessage`; `MessageRefused` otherwise."""
         fields = self._unpack(data, _FACTORISATION, DOWNLINK.max_bytes)
+        session, sequence = _integer(fields, "session"), _integer(fields, "sequence")
+        judge(session, sequence)
         entries = fields.get("factorisations")
         if not isinstance(entries, list) or len(entries) > len(ContactMode):
             raise MessageRefused("shape", "factorisations")
         return FactorisationMessage(
-            session=_integer(fields, "session"),
-            sequence=_integer(fields, "sequence"),
+            session=session,
+            sequence=sequence,
             stamp_ns=_integer(fields, "stamp_ns"),
             factorisations=tuple(self._decode_factorisation_fields(entry) for entry in entries),
         )
+
+    def _make_state_form(self, holds: Any) -> Form:
+        return Form(
+            {
+                **self._header,
+                "kind": _STATE,
+                "session": INTEGER,
+                "sequence": INTEGER,
+                "stamp_ns": INTEGER,
+                "time_ns": INTEGER,
+                "mode": SMALL,
+                "q": binary(_DOUBLE.itemsize * self._nq),
+                "v": binary(_DOUBLE.itemsize * self._nv),
+                "holds": holds,
+            }
+        )
+
+    def _read_state(self, data: bytes) -> RobotState | None:
+        """The state in a message of its form; None if it is of another, or anything is wrong."""
+        size = len(data)
+        if size == self._state_form.size:
+            values = self._state_form.read(data)
+        elif size == self._holding_form.size:
+            values = self._holding_form.read(data)
+        else:
+            return None
+        if values is None:
+            return None
+        session, sequence, stamp_ns, time_ns, mode, q_bytes, v_bytes, *holds = values
+        q, v = _finite(q_bytes), _finite(v_bytes)
+        if mode not in self._layouts or q is None or v is None:
+            return None
+        if min(session, sequence, stamp_ns, time_ns) < -_MAX_INT or min(holds, default=0) < -1:
+            return None
+        held_sequences = tuple(holds) if holds else None
+        return RobotState(
+            session, sequence, stamp_ns, time_ns, ContactMode(mode), q, v, held_sequences
+        )
+
+    def _make_answer_form(self, layout: RowLayout, dtype_name: str, n_active: int) -> Form:
+        numbers = layout.n_unknowns * layout.n_rows
+        projector = {
+            "mode": SMALL,
+            "layout": binary(len(layout.digest)),
+            "dtype": dtype_name,
+            "active": binary(n_active),
+            "A_dagger": binary(_DTYPES[dtype_name].itemsize * numbers),
+            "valid_from_ns": INTEGER,
+            "valid_until_ns": INTEGER,
+        }
+        return Form(
+            {
+                **self._header,
+                "kind": _PROJECTOR,
+                "session": INTEGER,
+                "sequence": INTEGER,
+                "stamp_ns": INTEGER,
+                "mode": SMALL,
+                "tau": binary(_DOUBLE.itemsize * (self._nv - 6)),
+                "y": binary(_DOUBLE.itemsize * layout.n_unknowns),
+                "projectors": [projector],
+            }
+        )
+
+    def _write_answer(self, message: ProjectorMessage, timed: TimedProjector) -> bytes:
+        projector = timed.projector
+        form = self._answer_forms[projector.mode, self._dtype_name, len(projector.active)]
+        _check_size(_PROJECTOR, form.size, DOWNLINK.max_bytes)
+        return form.write(
+            message.session,
+            message.sequence,
+            message.stamp_ns,
+            message.mode,
+            message.tau.tobytes(),
+            message.y.tobytes(),
+            projector.mode,
+            self._layout_digests[projector.mode],
+            projector.active.astype(np.uint8).tobytes(),
+            projector.A_dagger.astype(self._dtype, copy=False).tobytes(),
+            timed.valid_from_ns,
+            timed.valid_until_ns,
+        )
+
+    def _read_answer(self, data: bytes, judge: Judge) -> ProjectorMessage | None:
+        """The answer in a message of its form; None if it is of another, or anything is wrong."""
+        known = self._answer_forms_by_size.get(len(data))
+        if known is None:
+            return None
+        shape, dtype_name, form = known
+        values = form.read(data)
+        if values is None:
+            return None
+        session, sequence, stamp_ns, mode_value, tau_bytes, y_bytes, *of_projector = values
+        judge(session, sequence)
+        of_mode, layout, active, numbers, from_ns, until_ns = of_projector
+        if of_mode != mode_value or layout != self._layout_digests.get(of_mode):
+            return None
+        mode = ContactMode(of_mode)
+        rows = list(active)
+        if shape != self._shapes[mode] or not self._are_active_rows(rows, mode):
+            return None
+        tau, y = _finite(tau_bytes), _finite(y_bytes)
+        A_dagger = _finite(numbers, _DTYPES[dtype_name])
+        if tau is None or y is None or A_dagger is None:
+            return None
+        if min(session, sequence, stamp_ns, from_ns, until_ns) < -_MAX_INT:
+            return None
+        projector = Projector(mode, A_dagger.reshape(shape), np.array(rows, dtype=int))
+        timed = TimedProjector(projector, from_ns, until_ns)
+        return ProjectorMessage(session, sequence, stamp_ns, mode, tau, y, (timed,))
+
+    def _are_active_rows(self, rows: list[int], mode: ContactMode) -> bool:
+        """Whether they ascend and are rows of C."""
+        if not rows:
+            return True
+        return rows == sorted(set(rows)) and rows[-1] < self._n_inequalities[mode]
 
     def _factorisation_fields(self, factorisation: Factorisation) -> dict[str, Any]:
         mode = factorisation.mode
@@ -209,13 +368,12 @@ class Codec:
         if not isinstance(active, bytes) or len(active) > layout.n_forces:
             raise MessageRefused("shape", "active")
         rows = list(active)
-        if rows != sorted(set(rows)) or (rows and rows[-1] >= self._n_inequalities[mode]):
+        if not self._are_active_rows(rows, mode):
             raise MessageRefused("shape", "active")
-        shape = (layout.n_unknowns, layout.n_rows)
         return TimedProjector(
             projector=Projector(
                 mode=mode,
-                A_dagger=_array(fields, "A_dagger", shape, dtype=_DTYPES[dtype]),
+                A_dagger=_array(fields, "A_dagger", self._shapes[mode], dtype=_DTYPES[dtype]),
                 active=np.array(rows, dtype=int),
             ),
             valid_from_ns=_integer(fields, "valid_from_ns"),
@@ -224,11 +382,7 @@ class Codec:
 
     def _pack(self, kind: str, max_bytes: int, **fields: Any) -> bytes:
         data = bytes(msgpack.packb({**self._header, "kind": kind, **fields}))
-        if len(data) > max_bytes:
-            raise ConfigError(
-                f"wire: a {kind} message takes {len(data)} bytes, more than the {max_bytes} of its "
-                "channel; try wire.projector_dtype = 'float32'"
-            )
+        _check_size(kind, len(data), max_bytes)
         return data
 
     def _unpack(self, data: bytes, kind: str, max_bytes: int) -> dict[str, Any]:
@@ -249,6 +403,26 @@ class Codec:
         if fields.get("plan") != self._header["plan"]:
             raise MessageRefused("plan", "the two ends derive different motions")
         return fields
+
+
+def _check_size(kind: str, size: int, max_bytes: int) -> None:
+    if size > max_bytes:
+        raise ConfigError(
+            f"wire: a {kind} message takes {size} bytes, more than the {max_bytes} of its "
+            "channel; try wire.projector_dtype = 'float32'"
+        )
+
+
+def _finite(data: bytes, dtype: np.dtype[Any] = _DOUBLE) -> np.ndarray | None:
+    """The numbers, as float64; None if the sum of their squares is not finite.
+
+    That is so if one of them is not, or if they are so large that each has to be looked at.
+    """
+    numbers = np.frombuffer(data, dtype)
+    if dtype is not _DOUBLE:
+        numbers = numbers.astype(np.float64)
+    # Unlike `dot` it says nothing of an overflow.
+    return numbers if math.isfinite(np.vdot(numbers, numbers)) else None
 
 
 def _integer(fields: dict[str, Any], name: str) -> int:
@@ -292,7 +466,7 @@ def _array(
     name: str,
     shape: tuple[int, ...],
     *,
-    dtype: np.dtype[Any] = _DTYPES["float64"],
+    dtype: np.dtype[Any] = _DOUBLE,
 ) -> np.ndarray:
     data = fields.get(name)
     if not isinstance(data, bytes) or len(data) != dtype.itemsize * math.prod(shape):

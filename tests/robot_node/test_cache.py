@@ -11,6 +11,7 @@ from shared.wbc.whole_body import TimedProjector
 from shared.wire.codec import Codec
 from tests.messages import (
     FOR_EVER_NS,
+    altered,
     make_answer,
     make_correction,
     make_factorisation,
@@ -95,6 +96,13 @@ def test_an_answer_to_a_state_not_sent_yet_is_from_the_future(cache, answer):
     assert cache.refused == {"future": 1}
     # It does not shut out the answers that do come.
     assert cache.offer(answer(10), newest_sent=10)
+
+
+def test_the_numbers_of_a_stale_answer_are_not_looked_at(cache, answer):
+    cache.offer(answer(7), newest_sent=10)
+    damaged = altered(answer(6), lambda fields: fields.update(tau=b""))
+    assert not cache.offer(damaged, newest_sent=10)
+    assert cache.refused == {"stale": 1}
 
 
 def test_an_answer_to_another_start_of_the_robot_is_refused(cache, answer):

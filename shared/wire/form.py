@@ -1,0 +1,86 @@
+"""Messages that differ in some numbers only, as one `struct` each: msgpack all the same.
+
+An integer in a slot takes nine bytes whatever its value, so between its slots every message of a
+form has the same bytes at the same places. To write or read one is a single call. msgpack's own
+encoder writes shorter integers: what it writes is read by msgpack's own decoder.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import msgpack
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What varies in a form: the bytes in front of it, by which msgpack tells its type, and its
+    code in a `struct`.
+    """
+
+    prefix: bytes
+    code: str
+
+
+INTEGER = Slot(b"\xd3", "q")
+# From 0 to 127; what is read may be larger and then is none.
+SMALL = Slot(b"", "B")
+
+
+def binary(size: int) -> Slot:
+    """So many raw bytes."""
+    encoded = msgpack.packb(bytes(size))
+    return Slot(encoded[: len(encoded) - size], f"{size}s")
+
+
+class Form:
+    """All messages that are `template` with values in its slots, in the order of their slots."""
+
+    def __init__(self, template: dict[str, Any]) -> None:
+        constants: list[bytes] = [b""]
+        codes: list[str] = []
+        for part in _parts(template):
+            if isinstance(part, Slot):
+                constants[-1] += part.prefix
+                codes.append(part.code)
+                constants.append(b"")
+            else:
+                constants[-1] += part
+        lengths = [f"{len(constant)}s" for constant in constants]
+        between = [length + code for length, code in zip(lengths, [*codes, ""], strict=True)]
+        self._struct = struct.Struct(">" + "".join(between))
+        self._constants = tuple(constants)
+        self._blank: list[Any] = [None] * (2 * len(codes) + 1)
+        self._blank[::2] = constants
+        self.size = self._struct.size
+
+    def write(self, *values: int | bytes) -> bytes:
+        """The message with these values."""
+        parts = self._blank.copy()
+        parts[1::2] = values
+        return self._struct.pack(*parts)
+
+    def read(self, data: bytes) -> tuple[Any, ...] | None:
+        """The values in a message of `size` bytes; None if it is not of this form."""
+        parts = self._struct.unpack(data)
+        return parts[1::2] if parts[::2] == self._constants else None
+
+
+def _parts(value: Any) -> Iterator[bytes | Slot]:
+    """The encoding of a template, with its slots in it."""
+    if isinstance(value, Slot):
+        yield value
+    elif isinstance(value, dict):
+        yield msgpack.Packer().pack_map_header(len(value))
+        for key, each in value.items():
+            yield msgpack.packb(key)
+            yield from _parts(each)
+    elif isinstance(value, list):
+        yield msgpack.Packer().pack_array_header(len(value))
+        for each in value:
+            yield from _parts(each)
+    else:
+        yield msgpack.packb(value)
