@@ -24,7 +24,7 @@ from shared.wire.codec import Codec
 from shared.wire.messages import FactorisationMessage, ProjectorMessage
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class CacheEntry:
     """A projector, and the state it was computed from: its tick and the robot's clock then.
 
@@ -76,7 +76,7 @@ class AnswerCache(ABC):
         return None
 
     def _judge(self, session: int, sequence: int) -> None:
-        """`MessageRefused` if an answer is not wanted; its numbers are not looked at then."""
+        """`MessageRefused` if an answer is not wanted."""
         if session != self._session:
             raise MessageRefused("session", "answers another start of the robot")
         if sequence <= self._newest_sequence:

@@ -38,8 +38,8 @@ _SINGLE = np.dtype("<f4")
 _DOUBLE = np.dtype("<f8")
 _DTYPES: dict[str, np.dtype[Any]] = {"float64": _DOUBLE, "float32": _SINGLE}
 
-# Raises `MessageRefused` if an answer with this session and sequence is not wanted. It is asked
-# before the answer's numbers are looked at.
+# Raises `MessageRefused` if an answer with this session and sequence is not wanted. In a message of
+# a form it is asked before the numbers are looked at, else when all is known to be right.
 Judge = Callable[[int, int], None]
 
 
@@ -141,8 +141,6 @@ class Codec:
         if message is not None:
             return message
         fields = self._unpack(data, _PROJECTOR, DOWNLINK.max_bytes)
-        session, sequence = _integer(fields, "session"), _integer(fields, "sequence")
-        judge(session, sequence)
         mode = _mode(fields)
         entries = fields.get("projectors")
         if not isinstance(entries, list) or not 0 < len(entries) <= len(ContactMode):
@@ -150,15 +148,17 @@ class Codec:
         projectors = tuple(self._decode_projector_fields(entry) for entry in entries)
         if not any(timed.projector.mode is mode for timed in projectors):
             raise MessageRefused("mode", f"no projector of {mode.name}, which the answer is for")
-        return ProjectorMessage(
-            session=session,
-            sequence=sequence,
+        message = ProjectorMessage(
+            session=_integer(fields, "session"),
+            sequence=_integer(fields, "sequence"),
             stamp_ns=_integer(fields, "stamp_ns"),
             mode=mode,
             tau=_array(fields, "tau", (self._nv - 6,)),
             y=_array(fields, "y", (self._layouts[mode].n_unknowns,)),
             projectors=projectors,
         )
+        judge(message.session, message.sequence)
+        return message
 
     def encode_factorisations(self, message: FactorisationMessage) -> bytes:
         """A `FactorisationMessage` as bytes, numbers in single precision."""
@@ -174,17 +174,17 @@ class Codec:
     def decode_factorisations(self, data: bytes, judge: Judge = _anything) -> FactorisationMessage:
         """A checked `FactorisationMessage`; `MessageRefused` otherwise."""
         fields = self._unpack(data, _FACTORISATION, DOWNLINK.max_bytes)
-        session, sequence = _integer(fields, "session"), _integer(fields, "sequence")
-        judge(session, sequence)
         entries = fields.get("factorisations")
         if not isinstance(entries, list) or len(entries) > len(ContactMode):
             raise MessageRefused("shape", "factorisations")
-        return FactorisationMessage(
-            session=session,
-            sequence=sequence,
+        message = FactorisationMessage(
+            session=_integer(fields, "session"),
+            sequence=_integer(fields, "sequence"),
             stamp_ns=_integer(fields, "stamp_ns"),
             factorisations=tuple(self._decode_factorisation_fields(entry) for entry in entries),
         )
+        judge(message.session, message.sequence)
+        return message
 
     def _make_state_form(self, holds: Any) -> Form:
         return Form(

@@ -11,7 +11,6 @@ from shared.wbc.whole_body import TimedProjector
 from shared.wire.codec import Codec
 from tests.messages import (
     FOR_EVER_NS,
-    altered,
     make_answer,
     make_correction,
     make_factorisation,
@@ -98,11 +97,14 @@ def test_an_answer_to_a_state_not_sent_yet_is_from_the_future(cache, answer):
     assert cache.offer(answer(10), newest_sent=10)
 
 
-def test_the_numbers_of_a_stale_answer_are_not_looked_at(cache, answer):
-    cache.offer(answer(7), newest_sent=10)
-    damaged = altered(answer(6), lambda fields: fields.update(tau=b""))
+def test_the_numbers_of_a_stale_answer_are_not_looked_at(cache, codec, stacks, rng):
+    good = make_answer(stacks[DOUBLE], rng, session=SESSION, sequence=7)
+    data = codec.encode_projector(good)
+    damaged = data.replace(good.tau.tobytes(), np.full_like(good.tau, np.nan).tobytes())
     assert not cache.offer(damaged, newest_sent=10)
-    assert cache.refused == {"stale": 1}
+    assert cache.offer(data, newest_sent=10)
+    assert not cache.offer(damaged, newest_sent=10)
+    assert cache.refused == {"not_finite": 1, "stale": 1}
 
 
 def test_an_answer_to_another_start_of_the_robot_is_refused(cache, answer):
