@@ -166,7 +166,7 @@ def _alternatives(robot: Robot, config: RunConfig, repetitions: int, seed: int) 
     model = WholeBodyModel(robot)
     stack = Stack(robot, config.wbc, ContactMode.DOUBLE_SUPPORT)
     daqp, proxsuite = DaqpSolver(), ProxsuiteSolver()
-    cases = _cases(robot, model, stack, config, seed)
+    cases = _cases(robot, stack, config, seed)
 
     def timed(name: str, operation: Callable[[_Case], object]) -> Timing:
         return measure(name, operation, cases, repetitions=repetitions)
@@ -210,29 +210,30 @@ def _corrections(
     return [(level, step_of(level)) for level in CORRECTION_LEVELS]
 
 
-def _cases(
-    robot: Robot, model: WholeBodyModel, stack: Stack, config: RunConfig, seed: int
-) -> list[_Case]:
+def _cases(robot: Robot, stack: Stack, config: RunConfig, seed: int) -> list[_Case]:
     rng = np.random.default_rng(seed)
     reference = Standing(robot).reference(0)
     daqp = DaqpSolver()
     cases = []
     for _ in range(_N_STATES):
+        # Its own for each: kinematics are those of a model's last call.
+        model = WholeBodyModel(robot)
         q = pin.integrate(robot.model, robot.q_standing, 0.03 * rng.standard_normal(model.nv))
         v = 0.1 * rng.standard_normal(model.nv)
-        kinematics, jacobians = model.kinematics(q, v), model.jacobians(q)
+        jacobians = model.jacobians(q)
         matrices = stack.matrices(jacobians)
-        b = stack.right_hand_side(kinematics, reference)
+        b = stack.right_hand_side(model.kinematics(q, v), reference)
         condensed = condense(stack, matrices, b)
         active = daqp.solve(condensed.problem).active
         projector = factorise(stack, condensed, active)
         y = projector.apply(b)
         at_solution = stack.kinematics_at(y, model=model, q=q, v=v)
+        residual = stack.right_hand_side(at_solution, reference)
         cases.append(
             _Case(
                 q=q,
                 v=v,
-                kinematics=kinematics,
+                kinematics=model.kinematics(q, v),
                 jacobians=jacobians,
                 matrices=matrices,
                 b=b,
@@ -243,7 +244,7 @@ def _cases(
                 y=y,
                 blocks=factorise_kkt(stack, matrices, q[7:]),
                 iterate=Iterate(stack.mode, y, np.zeros(stack.equality_rows.stop)),
-                residual=stack.right_hand_side(at_solution, reference),
+                residual=residual,
             )
         )
     return cases

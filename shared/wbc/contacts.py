@@ -77,7 +77,7 @@ class ContactGeometry:
     def wrenches(self, f: np.ndarray) -> dict[Foot, np.ndarray]:
         """Contact wrench of each loaded foot, (6,) in its sole frame, from f (n_f,) [N]."""
         return {
-            foot: self.wrench_map[foot] @ f[k * FORCES_PER_FOOT : (k + 1) * FORCES_PER_FOOT]
+            foot: self.wrench_map[foot].dot(f[k * FORCES_PER_FOOT : (k + 1) * FORCES_PER_FOOT])
             for k, foot in enumerate(self.mode.feet)
         }
 

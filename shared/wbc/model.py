@@ -3,11 +3,15 @@
 `kinematics` and `inverse_dynamics` cost the robot a few recursive passes; `jacobians` is what only
 the edge computes. Frames are Pinocchio's: base velocity and acceleration in the base frame, sole
 quantities in the sole frame, the centre of mass in the world frame.
+
+What costs as much as those passes is to take their results out of Pinocchio. So what the robot
+needs each millisecond stays where it is: it is `Live`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NewType
 
 import numpy as np
 import pinocchio as pin
@@ -15,28 +19,38 @@ import pinocchio as pin
 from shared.robots import Foot, Robot
 from shared.robots.description import sole_frame_name
 
+# An array in the workspace of a model, which writes other numbers there in its next call, whatever
+# that is. It is for use at once; what is to last is computed from it or copied.
+Live = NewType("Live", np.ndarray)
+
 
 @dataclass(slots=True)
 class Kinematics:
     """Terms of b at (q, v); and, at a solution (a, f), those of the residual b − M (a, f).
 
-    `q` (nq,), `v`, `a` (nv,); `force` (nv,) M a + h − J_cᵀ w of Eq. (1a) [N, N m], which for b is
-    h; `com`, `com_velocity`, `com_acceleration` (3,) in the world; `world_from_base` (3, 3);
-    `sole_velocity`, `sole_acceleration` (6,) per foot, linear then angular, in the sole frame;
-    `sole_placement` world from sole. Accelerations are J a + J̇ v, for b the drifts J̇ v.
+    `q` (nq,), `v` (nv,); `a` (nv,), None for zero; `force` (nv,) M a + h − J_cᵀ w of Eq. (1a)
+    [N, N m], which for b is h; `com`, `com_velocity`, `com_acceleration` (3,) in the world;
+    `world_from_base` (3, 3); `sole_velocity`, `sole_acceleration` (6,) per foot, linear then
+    angular, in the sole frame. Accelerations are J a + J̇ v, for b the drifts J̇ v.
+
+    A model has one, which each of its calls overwrites, in part or as a whole: see `Live`.
     """
 
     q: np.ndarray
     v: np.ndarray
-    a: np.ndarray
-    force: np.ndarray
-    com: np.ndarray
-    com_velocity: np.ndarray
-    com_acceleration: np.ndarray
-    world_from_base: np.ndarray
-    sole_velocity: dict[Foot, np.ndarray]
-    sole_acceleration: dict[Foot, np.ndarray]
-    sole_placement: dict[Foot, pin.SE3]
+    a: np.ndarray | None
+    force: Live
+    com: Live
+    com_velocity: Live
+    com_acceleration: Live
+    world_from_base: Live
+    sole_velocity: dict[Foot, Live]
+    sole_acceleration: dict[Foot, Live]
+    soles: dict[Foot, _Sole]
+
+    def sole_placement(self, foot: Foot) -> pin.SE3:
+        """World from sole."""
+        return self.soles[foot].placement()
 
 
 @dataclass(slots=True)
@@ -70,28 +84,75 @@ class RowMultipliers:
         return RowMultipliers(np.zeros(6), np.zeros(3), {}, np.zeros(nv))
 
 
+class _Sole:
+    """A sole frame on the joint that carries it: from live motions of the joint to its own."""
+
+    def __init__(self, model: pin.Model, data: pin.Data, force: pin.Force, foot: Foot) -> None:
+        self.frame = model.getFrameId(sole_frame_name(foot))
+        self.joint_from_sole = model.frames[self.frame].placement
+        self.origin_in_joint = self.joint_from_sole.translation
+        joint = model.frames[self.frame].parentJoint
+        self.world_from_joint = data.oMi[joint]
+        self._sole_from_joint = np.ascontiguousarray(self.joint_from_sole.toActionMatrixInverse())
+        self._joint_from_wrench = np.ascontiguousarray(self.joint_from_sole.toDualActionMatrix())
+        self._velocity: Live = data.v[joint].vector
+        self._acceleration: Live = data.a[joint].vector
+        self._force: Live = force.vector
+
+    def placement(self) -> pin.SE3:
+        """World from sole."""
+        return self.world_from_joint * self.joint_from_sole
+
+    def velocity(self, out: np.ndarray | None = None) -> np.ndarray:
+        """(6,) in the sole frame."""
+        return self._sole_from_joint.dot(self._velocity, out)
+
+    def acceleration(self, out: np.ndarray | None = None) -> np.ndarray:
+        """(6,) in the sole frame."""
+        return self._sole_from_joint.dot(self._acceleration, out)
+
+    def load(self, wrench: np.ndarray) -> None:
+        """Put a wrench (6,) in the sole frame into the external forces."""
+        self._joint_from_wrench.dot(wrench, self._force)
+
+    def unload(self) -> None:
+        self._force.fill(0.0)
+
+
 class WholeBodyModel:
     """Pinocchio model and workspace of one robot. Not shared between threads."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.model = robot.model
-        self.data = robot.model.createData()
+        self.data = data = robot.model.createData()
         self.nq, self.nv = robot.model.nq, robot.model.nv
         self._mass = pin.computeTotalMass(self.model)
         self._weightless = self.model.copy()
         self._weightless.gravity = pin.Motion.Zero()
         self._no_acceleration = np.zeros(self.nv)
-        self._soles = {foot: self.model.getFrameId(sole_frame_name(foot)) for foot in Foot}
-        self._sole_joints = {
-            foot: self.model.frames[frame].parentJoint for foot, frame in self._soles.items()
-        }
-        self._sole_placements = {
-            foot: self.model.frames[frame].placement for foot, frame in self._soles.items()
-        }
         self._external_forces = pin.StdVec_Force()
         for _ in range(self.model.njoints):
             self._external_forces.append(pin.Force.Zero())
+        self._soles = {}
+        for foot in Foot:
+            joint = self.model.frames[self.model.getFrameId(sole_frame_name(foot))].parentJoint
+            self._soles[foot] = _Sole(self.model, data, self._external_forces[joint], foot)
+        self._bias_force: Live = data.nle
+        self._generalised_force: Live = data.tau
+        self._now = Kinematics(
+            q=robot.q_standing,
+            v=self._no_acceleration,
+            a=None,
+            force=self._bias_force,
+            com=data.com[0],
+            com_velocity=data.vcom[0],
+            com_acceleration=data.acom[0],
+            world_from_base=data.oMi[1].rotation,
+            sole_velocity={foot: Live(np.zeros(6)) for foot in Foot},
+            sole_acceleration={foot: Live(np.zeros(6)) for foot in Foot},
+            soles=self._soles,
+        )
 
     def kinematics(
         self,
@@ -101,31 +162,19 @@ class WholeBodyModel:
         wrenches: dict[Foot, np.ndarray] | None = None,
     ) -> Kinematics:
         """Terms of b at (q, v); with accelerations `a` and contact `wrenches`, of its residual."""
-        model, data = self.model, self.data
+        now = self._now
+        now.q, now.v, now.a = q, v, a
         if a is None or wrenches is None:
-            a = self._no_acceleration
-            force = pin.nonLinearEffects(model, data, q, v).copy()
+            pin.nonLinearEffects(self.model, self.data, q, v)
+            now.force = self._bias_force
+            pin.centerOfMass(self.model, self.data, q, v, self._no_acceleration, False)
         else:
-            force = self.inverse_dynamics(q, v, a, wrenches).copy()
-        pin.centerOfMass(model, data, q, v, a, False)
-        sole_velocity, sole_acceleration, sole_placement = {}, {}, {}
-        for foot, frame in self._soles.items():
-            sole_velocity[foot] = pin.getFrameVelocity(model, data, frame, pin.LOCAL).vector
-            sole_placement[foot] = data.oMi[self._sole_joints[foot]] * self._sole_placements[foot]
-            sole_acceleration[foot] = pin.getFrameAcceleration(model, data, frame, pin.LOCAL).vector
-        return Kinematics(
-            q=q,
-            v=v,
-            a=a,
-            force=force,
-            com=data.com[0].copy(),
-            com_velocity=data.vcom[0].copy(),
-            com_acceleration=data.acom[0].copy(),
-            world_from_base=data.oMi[1].rotation.copy(),
-            sole_velocity=sole_velocity,
-            sole_acceleration=sole_acceleration,
-            sole_placement=sole_placement,
-        )
+            now.force = self.inverse_dynamics(q, v, a, wrenches)
+            pin.centerOfMass(self.model, self.data, q, v, a, False)
+        for foot, sole in self._soles.items():
+            sole.velocity(now.sole_velocity[foot])
+            sole.acceleration(now.sole_acceleration[foot])
+        return now
 
     def jacobians(self, q: np.ndarray) -> Jacobians:
         """Terms of A at q."""
@@ -133,8 +182,8 @@ class WholeBodyModel:
         M = pin.crba(model, data, q)
         pin.computeJointJacobians(model, data, q)
         J_sole = {
-            foot: pin.getFrameJacobian(model, data, frame, pin.LOCAL)
-            for foot, frame in self._soles.items()
+            foot: pin.getFrameJacobian(model, data, sole.frame, pin.LOCAL)
+            for foot, sole in self._soles.items()
         }
         # The base rows of M map v to the momentum in the base frame; its first part is m ċ.
         return Jacobians(M_unactuated=M[:6].copy(), J_sole=J_sole, J_com=M[:3] / self._mass)
@@ -144,33 +193,29 @@ class WholeBodyModel:
     ) -> tuple[np.ndarray, np.ndarray]:
         """J v and J a + J̇ v of a sole, (6,) each in the sole frame, without forming J."""
         pin.forwardKinematics(self.model, self.data, q, v, a)
-        frame = self._soles[foot]
-        return (
-            pin.getFrameVelocity(self.model, self.data, frame, pin.LOCAL).vector,
-            pin.getFrameAcceleration(self.model, self.data, frame, pin.LOCAL).vector,
-        )
+        sole = self._soles[foot]
+        return sole.velocity(), sole.acceleration()
 
     def inverse_dynamics(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, wrenches: dict[Foot, np.ndarray]
-    ) -> np.ndarray:
+    ) -> Live:
         """Generalised force M a + h − Jᵀ w at (q, v), shape (nv,), Eq. (1a).
 
         `wrenches` holds the contact wrench (6,) on each loaded foot, in its sole frame. The first
         six entries are the dynamics residual of the floating base.
         """
         self._load_soles(wrenches)
-        force: np.ndarray = pin.rnea(self.model, self.data, q, v, a, self._external_forces)
-        return force
+        pin.rnea(self.model, self.data, q, v, a, self._external_forces)
+        return self._generalised_force
 
     def _load_soles(self, wrenches: dict[Foot, np.ndarray]) -> None:
         """Set the external forces of the next inverse dynamics, (6,) per foot in its sole frame."""
-        for foot, joint in self._sole_joints.items():
+        for foot, sole in self._soles.items():
             wrench = wrenches.get(foot)
-            self._external_forces[joint] = (
-                self._sole_placements[foot].act(pin.Force(wrench))
-                if wrench is not None
-                else pin.Force.Zero()
-            )
+            if wrench is None:
+                sole.unload()
+            else:
+                sole.load(wrench)
 
     def transposed(self, q: np.ndarray, multipliers: RowMultipliers) -> np.ndarray:
         """M_uᵀ μ + J_comᵀ μ + Σ J_soleᵀ μ + μ at q, shape (nv,), by one pass without forming a row.
@@ -190,7 +235,7 @@ class WholeBodyModel:
     def sole_motion_of_base(self, foot: Foot, now: Kinematics, motion: np.ndarray) -> np.ndarray:
         """The first six columns of J_sole times `motion` (6,): the sole on a rigid body."""
         world_from_base = pin.SE3(now.world_from_base, now.q[:3])
-        base_from_sole = world_from_base.actInv(now.sole_placement[foot])
+        base_from_sole = world_from_base.actInv(now.sole_placement(foot))
         moved: np.ndarray = base_from_sole.actInv(pin.Motion(motion)).vector
         return moved
 
@@ -198,12 +243,12 @@ class WholeBodyModel:
         """Centre of mass and origin of each sole frame in the world, (3,), at q."""
         com = pin.centerOfMass(self.model, self.data, q, False).copy()
         soles = {
-            foot: self.data.oMi[joint].act(self._sole_placements[foot].translation)
-            for foot, joint in self._sole_joints.items()
+            foot: sole.world_from_joint.act(sole.origin_in_joint)
+            for foot, sole in self._soles.items()
         }
         return com, soles
 
     def sole_placements(self, q: np.ndarray) -> dict[Foot, pin.SE3]:
         """World placement of each sole frame at q."""
         pin.framesForwardKinematics(self.model, self.data, q)
-        return {foot: self.data.oMf[frame].copy() for foot, frame in self._soles.items()}
+        return {foot: self.data.oMf[sole.frame].copy() for foot, sole in self._soles.items()}

@@ -41,7 +41,7 @@ class Projector:
 
     def apply(self, b: np.ndarray) -> np.ndarray:
         """y = A† b, Eq. (4); shape (n,): accelerations, then contact forces."""
-        y: np.ndarray = self.A_dagger @ b
+        y: np.ndarray = self.A_dagger.dot(b)
         return y
 
 

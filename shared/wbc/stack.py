@@ -120,6 +120,12 @@ class Stack:
         self.constant_task_rows = self._constant_task_rows()
         self.equality_rows = slice(0, self._n_equalities)
         self.task_rows = slice(self._n_equalities, self._n_equalities + task_rows)
+        contacts = range(N_DYNAMICS, self._n_equalities, ROWS_PER_CONTACT)
+        self._contact_rows = [
+            (foot, slice(row, row + ROWS_PER_CONTACT))
+            for foot, row in zip(mode.feet, contacts, strict=True)
+        ]
+        self._rows_of_tasks = [(task, self.layout.slice(task.name)) for task in self.tasks]
 
     def _constant_task_rows(self) -> np.ndarray:
         """A with zeros where it depends on the configuration, (n_t, nv)."""
@@ -147,18 +153,14 @@ class Stack:
         at y instead: e − E y, √ω (s̈* − J̇ v − J a).
         """
         b = np.empty(self._n_rows)
-        np.negative(kinematics.force[:N_DYNAMICS], out=b[:N_DYNAMICS])
-        row = N_DYNAMICS
-        for foot in self.mode.feet:
-            rows = b[row : row + ROWS_PER_CONTACT]
-            np.multiply(kinematics.sole_velocity[foot], -self.contact_damping, out=rows)
-            rows -= kinematics.sole_acceleration[foot]
-            row += ROWS_PER_CONTACT
-        for task, sqrt_weight, size in self._weighted_tasks:
-            target = task.target(kinematics, reference)
-            np.multiply(target, sqrt_weight, out=b[row : row + size])
-            row += size
-        b[row] = 1.0
+        np.negative(kinematics.force[:N_DYNAMICS], b[:N_DYNAMICS])
+        for foot, rows in self._contact_rows:
+            of_contact = b[rows]
+            np.multiply(kinematics.sole_velocity[foot], -self.contact_damping, of_contact)
+            of_contact -= kinematics.sole_acceleration[foot]
+        for task, rows in self._rows_of_tasks:
+            task.write_target(b[rows], kinematics, reference)
+        b[-1] = 1.0
         return b
 
     def add_task_multipliers(self, residual: np.ndarray, multipliers: RowMultipliers) -> None:
@@ -199,7 +201,7 @@ class Stack:
         is not counted as a violation.
         """
         violation = acceleration + self.contact_damping * velocity
-        return math.sqrt(violation @ violation)
+        return math.sqrt(violation.dot(violation))
 
 
 def make_stacks(robot: Robot, config: WbcConfig) -> dict[ContactMode, Stack]:

@@ -1,8 +1,9 @@
 """The tasks: one class each, with its Jacobian for the edge and its feedback for both ends.
 
-`target` is s̈* − J̇ v of Eq. (6), or s̈* − J̇ v − J a with kinematics at an acceleration a, where
-s̈* = s̈_ref + kp (s_ref − s) + kd (ṡ_ref − ṡ) and kd = 2 √kp (critical
-damping). The row weight √ω is applied by the stack.
+The rows of b are √ω (s̈* − J̇ v) of Eq. (6), or √ω (s̈* − J̇ v − J a) with kinematics at an
+acceleration a, where s̈* = s̈_ref + kp (s_ref − s) + kd (ṡ_ref − ṡ) and kd = 2 √kp (critical
+damping). The robot writes them each millisecond: gains have √ω in them, and rows are written in
+place. The weight of J is applied by the stack.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ class Task(Protocol):
         """J, shape (size, nv)."""
         ...
 
-    def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
-        """s̈* − J̇ v − J a, shape (size,); a is that of the kinematics, zero for b."""
+    def write_target(self, rows: np.ndarray, kinematics: Kinematics, reference: Reference) -> None:
+        """Set `rows` (size,) to √ω (s̈* − J̇ v − J a); a is that of the kinematics."""
         ...
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
@@ -47,27 +48,45 @@ class Task(Protocol):
 
 
 @dataclass(frozen=True)
+class Gains:
+    """√ω times kp, kd and 1."""
+
+    position: float
+    velocity: float
+    acceleration: float
+
+    @staticmethod
+    def of(*, weight: float, kp: float) -> Gains:
+        root = math.sqrt(weight)
+        return Gains(root * kp, root * 2.0 * math.sqrt(kp), root)
+
+    def array(self) -> np.ndarray:
+        """(3,), for errors as rows: position, velocity, acceleration."""
+        return np.array([self.position, self.velocity, self.acceleration])
+
+
 class ComTask:
     """Centre of mass [m], in the base frame: its rows do not change when the robot turns."""
 
-    weight: float
-    kp: float
-    name: str = "com"
-    size: int = 3
-    constant: bool = False
+    name = "com"
+    size = 3
+    constant = False
+
+    def __init__(self, *, weight: float, kp: float) -> None:
+        self.weight = weight
+        self._gains = Gains.of(weight=weight, kp=kp).array()
+        self._error = np.zeros((3, 3))
+        self._of_position, self._of_velocity, self._of_acceleration = self._error
 
     def jacobian(self, jacobians: Jacobians) -> np.ndarray:
         return jacobians.J_com
 
-    def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
-        kd = 2.0 * math.sqrt(self.kp)
-        target: np.ndarray = kinematics.world_from_base.T @ (
-            reference.com_acceleration
-            + self.kp * (reference.com - kinematics.com)
-            + kd * (reference.com_velocity - kinematics.com_velocity)
-            - kinematics.com_acceleration
-        )
-        return target
+    def write_target(self, rows: np.ndarray, kinematics: Kinematics, reference: Reference) -> None:
+        np.subtract(reference.com, kinematics.com, self._of_position)
+        np.subtract(reference.com_velocity, kinematics.com_velocity, self._of_velocity)
+        np.subtract(reference.com_acceleration, kinematics.com_acceleration, self._of_acceleration)
+        # A row times R is Rᵀ times the column: from the world to the base.
+        self._gains.dot(self._error).dot(kinematics.world_from_base, rows)
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
         multipliers.com += rows
@@ -82,18 +101,19 @@ class BaseOrientationTask:
 
     def __init__(self, *, weight: float, kp: float, nv: int) -> None:
         self.weight = weight
-        self.kp = kp
+        self._gains = Gains.of(weight=weight, kp=kp)
         self._jacobian = np.eye(nv)[3:6]
 
     def jacobian(self, jacobians: Jacobians) -> np.ndarray:
         return self._jacobian
 
-    def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
-        base_from_reference = kinematics.world_from_base.T @ reference.world_from_base
-        kd = 2.0 * math.sqrt(self.kp)
-        error = self.kp * pin.log3(base_from_reference)
-        target: np.ndarray = error - kd * kinematics.v[3:6] - kinematics.a[3:6]
-        return target
+    def write_target(self, rows: np.ndarray, kinematics: Kinematics, reference: Reference) -> None:
+        gains = self._gains
+        base_from_reference = kinematics.world_from_base.T.dot(reference.world_from_base)
+        np.multiply(pin.log3(base_from_reference), gains.position, rows)
+        rows -= gains.velocity * kinematics.v[3:6]
+        if kinematics.a is not None:
+            rows -= gains.acceleration * kinematics.a[3:6]
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
         multipliers.joints[3:6] += rows
@@ -107,18 +127,20 @@ class PostureTask:
 
     def __init__(self, *, weight: float, kp: float, nv: int) -> None:
         self.weight = weight
-        self.kp = kp
+        self._gains = Gains.of(weight=weight, kp=kp)
         self.size = nv - 6
         self._jacobian = np.eye(nv)[6:]
 
     def jacobian(self, jacobians: Jacobians) -> np.ndarray:
         return self._jacobian
 
-    def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
-        kd = 2.0 * math.sqrt(self.kp)
-        error = self.kp * (reference.posture - kinematics.q[7:])
-        target: np.ndarray = error - kd * kinematics.v[6:] - kinematics.a[6:]
-        return target
+    def write_target(self, rows: np.ndarray, kinematics: Kinematics, reference: Reference) -> None:
+        gains = self._gains
+        np.subtract(reference.posture, kinematics.q[7:], rows)
+        rows *= gains.position
+        rows -= gains.velocity * kinematics.v[6:]
+        if kinematics.a is not None:
+            rows -= gains.acceleration * kinematics.a[6:]
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
         multipliers.joints[6:] += rows
@@ -133,38 +155,37 @@ class SwingFootTask:
 
     def __init__(self, *, weight: float, kp: float, foot: Foot) -> None:
         self.weight = weight
-        self.kp = kp
         self.foot = foot
+        self._gains = Gains.of(weight=weight, kp=kp)
+        self._gain_array = self._gains.array()
+        # In the world: position, velocity, acceleration asked of the sole's origin; and what they
+        # and the heading ask of its linear and angular acceleration.
+        self._errors = np.zeros((3, 3))
+        self._of_position, self._of_velocity, self._of_acceleration = self._errors
+        self._asked = np.zeros((2, 3))
 
     def jacobian(self, jacobians: Jacobians) -> np.ndarray:
         return jacobians.J_sole[self.foot]
 
-    def target(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
-        swing = reference.swing
+    def write_target(self, rows: np.ndarray, kinematics: Kinematics, reference: Reference) -> None:
+        gains, swing = self._gains, reference.swing
+        np.multiply(kinematics.sole_acceleration[self.foot], -gains.acceleration, rows)
         if swing is None:  # the plan has this foot on the ground: keep it where it is
-            return -kinematics.sole_acceleration[self.foot]
-        kd = 2.0 * math.sqrt(self.kp)
-        placement = kinematics.sole_placement[self.foot]
+            return
+        placement = kinematics.sole_placement(self.foot)
         R = placement.rotation
+        np.subtract(swing.position, placement.translation, self._of_position)
+        self._of_velocity[:] = swing.velocity
+        self._of_acceleration[:] = swing.acceleration
+        asked = self._asked
+        self._gain_array.dot(self._errors, asked[0])
+        asked[1, 2] = gains.velocity * swing.yaw_rate + gains.acceleration * swing.yaw_acceleration
+        rows += asked.dot(R).ravel()
         velocity = kinematics.sole_velocity[self.foot]
-        v, omega = velocity[:3], velocity[3:]
-        reference_rotation = pin.utils.rotate("z", swing.yaw)
-        target = np.empty(self.size)
-        target[:3] = R.T @ (
-            swing.acceleration
-            + self.kp * (swing.position - placement.translation)
-            + kd * swing.velocity
-        )
+        rows -= gains.velocity * velocity
         # The rows hold spatial accelerations: a point's acceleration less ω × v.
-        target[:3] -= kd * v + _cross(omega, v)
-        upright = R.T[:, 2]
-        target[3:] = (
-            self.kp * pin.log3(R.T @ reference_rotation)
-            + kd * (swing.yaw_rate * upright - omega)
-            + swing.yaw_acceleration * upright
-        )
-        target -= kinematics.sole_acceleration[self.foot]
-        return target
+        rows[:3] -= gains.acceleration * _cross(velocity[3:], velocity[:3])
+        rows[3:] += gains.position * pin.log3(R.T.dot(_heading(swing.yaw)))
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
         multipliers.soles[self.foot] = multipliers.soles.get(self.foot, 0.0) + rows
@@ -175,3 +196,9 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     a_x, a_y, a_z = a.tolist()
     b_x, b_y, b_z = b.tolist()
     return np.array([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x])
+
+
+def _heading(yaw: float) -> np.ndarray:
+    """Rotation by `yaw` about the vertical, (3, 3)."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

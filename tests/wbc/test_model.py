@@ -8,7 +8,7 @@ import pytest
 
 from shared.robots import Foot
 from shared.robots.description import sole_frame_name
-from shared.wbc.model import RowMultipliers
+from shared.wbc.model import RowMultipliers, WholeBodyModel
 
 # Central differences over ±1e-6 s: cancellation leaves 2e-10 of the value, measured. A wrong frame
 # or sign is off by the whole of it.
@@ -55,8 +55,8 @@ def test_com_velocity_is_the_rate_of_the_com(model, robot, states):
 
 def test_sole_acceleration_is_the_rate_of_the_sole_velocity_at_constant_v(model, robot, states):
     for q, v in states[:20]:
-        before = model.kinematics(flow(robot, q, v, -STEP), v).sole_velocity
-        after = model.kinematics(flow(robot, q, v, STEP), v).sole_velocity
+        before = WholeBodyModel(robot).kinematics(flow(robot, q, v, -STEP), v).sole_velocity
+        after = WholeBodyModel(robot).kinematics(flow(robot, q, v, STEP), v).sole_velocity
         drift = model.kinematics(q, v).sole_acceleration
         for foot in Foot:
             rate = (after[foot] - before[foot]) / (2 * STEP)
@@ -65,8 +65,8 @@ def test_sole_acceleration_is_the_rate_of_the_sole_velocity_at_constant_v(model,
 
 def test_com_acceleration_is_the_rate_of_the_com_velocity_at_constant_v(model, robot, states):
     for q, v in states[:20]:
-        before = model.kinematics(flow(robot, q, v, -STEP), v).com_velocity
-        after = model.kinematics(flow(robot, q, v, STEP), v).com_velocity
+        before = model.kinematics(flow(robot, q, v, -STEP), v).com_velocity.copy()
+        after = model.kinematics(flow(robot, q, v, STEP), v).com_velocity.copy()
         rate = (after - before) / (2 * STEP)
         close(model.kinematics(q, v).com_acceleration, rate, DIFFERENCE_TOLERANCE)
 
@@ -97,17 +97,18 @@ def test_sole_acceleration_is_the_jacobian_times_a_plus_drift(model, states, rng
 
 
 def test_kinematics_at_an_acceleration_are_those_of_inverse_dynamics_and_of_the_rates(
-    model, states, rng
+    model, robot, states, rng
 ):
+    other = WholeBodyModel(robot)
     for q, v in states:
         a = rng.standard_normal(model.nv)
         wrenches = {foot: 100.0 * rng.standard_normal(6) for foot in Foot}
         drift, now, jacobians = (
-            model.kinematics(q, v),
+            other.kinematics(q, v),
             model.kinematics(q, v, a, wrenches),
-            model.jacobians(q),
+            other.jacobians(q),
         )
-        np.testing.assert_array_equal(now.force, model.inverse_dynamics(q, v, a, wrenches))
+        np.testing.assert_array_equal(now.force, other.inverse_dynamics(q, v, a, wrenches))
         in_world = now.world_from_base @ jacobians.J_com @ a
         close(now.com_acceleration, drift.com_acceleration + in_world, ROUNDING)
         for foot in Foot:
@@ -147,48 +148,58 @@ def test_unactuated_inertia_is_the_first_six_rows_of_the_symmetric_matrix(model,
         np.testing.assert_array_equal(model.jacobians(q).M_unactuated, M[:6])
 
 
-def test_terms_are_copies_that_a_later_call_does_not_change(model, states):
+def numbers(terms):
+    """All arrays of some terms, in dictionaries too, without copying any."""
+    for name in terms.__slots__:
+        value = getattr(terms, name)
+        for array in value.values() if isinstance(value, dict) else (value,):
+            if isinstance(array, np.ndarray):
+                yield array
+
+
+def test_kinematics_are_those_of_the_last_call_whoever_holds_them(model, robot, states, rng):
+    held = model.kinematics(*states[0])
+    views = list(numbers(held))
+    placements = [held.sole_placement(foot) for foot in Foot]
+    a, wrenches = rng.standard_normal(model.nv), {Foot.LEFT: np.full(6, 5.0)}
+    for how in ((), (a, wrenches), ()):
+        now = model.kinematics(*states[3], *how)
+        assert now is held
+        expected = WholeBodyModel(robot).kinematics(*states[3], *how)
+        for array, own in zip(numbers(now), numbers(expected), strict=True):
+            np.testing.assert_array_equal(array, own)
+    # Also what was taken from them before is of the last call, but for the measured state itself.
+    for view, array in zip(views[2:], list(numbers(held))[2:], strict=True):
+        assert np.shares_memory(view, array)
+    for before, foot in zip(placements, Foot, strict=True):
+        assert not before.isApprox(held.sole_placement(foot))
+
+
+def test_all_of_the_workspace_is_named_live(model, states):
+    # What the annotations promise to last is no view of Pinocchio's memory.
     kinematics, jacobians = model.kinematics(*states[0]), model.jacobians(states[0].q)
+    com, soles = model.com_and_soles(states[0].q)
+    motion = model.sole_motion(Foot.LEFT, *states[0], np.ones(model.nv))
     placements = model.sole_placements(states[0].q)
-    before = [
-        array.copy()
-        for array in (
-            kinematics.force,
-            kinematics.com,
-            kinematics.com_velocity,
-            kinematics.com_acceleration,
-            kinematics.world_from_base,
-            kinematics.sole_velocity[Foot.LEFT],
-            kinematics.sole_acceleration[Foot.LEFT],
-            kinematics.sole_placement[Foot.LEFT].translation,
-            jacobians.M_unactuated,
-            jacobians.J_com,
-            jacobians.J_sole[Foot.LEFT],
-            placements[Foot.LEFT].translation,
-        )
+    multipliers = RowMultipliers.zero(model.nv)
+    lasting = [
+        *numbers(jacobians),
+        com,
+        *soles.values(),
+        *motion,
+        *(placement.translation for placement in placements.values()),
+        model.transposed(states[0].q, multipliers),
+        model.sole_motion_of_base(Foot.LEFT, kinematics, np.ones(6)),
     ]
+    before = [array.copy() for array in lasting]
     model.kinematics(*states[3])
     model.jacobians(states[3].q)
     model.sole_placements(states[3].q)
     model.inverse_dynamics(*states[3], np.ones(model.nv), {Foot.LEFT: np.ones(6)})
-    model.transposed(states[3].q, RowMultipliers.zero(model.nv))
+    model.transposed(states[3].q, multipliers)
     model.sole_motion(Foot.LEFT, *states[3], np.ones(model.nv))
     model.com_and_soles(states[3].q)
-    after = (
-        kinematics.force,
-        kinematics.com,
-        kinematics.com_velocity,
-        kinematics.com_acceleration,
-        kinematics.world_from_base,
-        kinematics.sole_velocity[Foot.LEFT],
-        kinematics.sole_acceleration[Foot.LEFT],
-        kinematics.sole_placement[Foot.LEFT].translation,
-        jacobians.M_unactuated,
-        jacobians.J_com,
-        jacobians.J_sole[Foot.LEFT],
-        placements[Foot.LEFT].translation,
-    )
-    for array, copy in zip(after, before, strict=True):
+    for array, copy in zip(lasting, before, strict=True):
         np.testing.assert_array_equal(array, copy)
 
 

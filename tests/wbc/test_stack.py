@@ -10,6 +10,7 @@ import pytest
 from shared.config.settings import RunConfig
 from shared.wbc.contacts import ContactMode
 from shared.wbc.stack import Stack
+from tests.wbc.test_tasks import target_of
 
 # Sums of some forty products of numbers up to 1e4, compared relative to the largest.
 ROUNDING = 1e-11
@@ -81,8 +82,15 @@ def test_b_has_its_terms_in_the_rows_of_their_names(stack, model, states, refere
     np.testing.assert_array_equal(b[stack.layout.slice("bounds")], [1.0])
     for task in stack.tasks:
         weight = getattr(config.wbc.weights, task.name)
-        expected = np.sqrt(weight) * task.target(kinematics, reference)
+        expected = np.sqrt(weight) * target_of(task, kinematics, reference)
         np.testing.assert_allclose(b[stack.layout.slice(task.name)], expected, rtol=1e-14)
+
+
+def test_b_is_a_copy_that_a_later_call_does_not_change(stack, model, states, reference):
+    b = stack.right_hand_side(model.kinematics(*states[0]), reference)
+    before = b.copy()
+    stack.right_hand_side(model.kinematics(*states[3]), reference)
+    np.testing.assert_array_equal(b, before)
 
 
 def test_dynamics_rows_are_the_base_residual_of_inverse_dynamics(
@@ -124,7 +132,7 @@ def test_task_rows_are_weighted_differences_to_the_targets(stack, model, states,
         expected = np.concatenate(
             [
                 np.sqrt(task.weight)
-                * (task.jacobian(jacobians) @ a - task.target(kinematics, reference))
+                * (task.jacobian(jacobians) @ a - target_of(task, kinematics, reference))
                 for task in stack.tasks
             ]
         )
