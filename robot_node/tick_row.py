@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_node.controllers import Command
+from robot_node.controllers import Command, Decision
 from shared.robots import Foot
 from shared.telemetry.schema import Schema
-from shared.wbc.contacts import ContactMode
+from shared.wbc.contacts import FORCES_PER_FOOT, ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Reference
 from shared.wbc.stack import Stack
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Moment:
     """A tick when its command is there and the plant has not moved yet.
 
@@ -45,56 +45,67 @@ class TickRow:
     def __init__(
         self, schema: Schema, model: WholeBodyModel, stacks: dict[ContactMode, Stack]
     ) -> None:
-        self._columns = schema.slices
+        # One write for all columns of a tick, which follow one another; see `tick_schema`.
+        self._filled = slice(schema.slices["tick"].start, schema.slices["staleness_rad"].stop)
+        self._refused = schema.slices["refused"].start
         self._model = model
         self._stacks = stacks
-        self._set_down: dict[Foot, np.ndarray] = {}
+        self._unloaded = np.zeros(FORCES_PER_FOOT)
+        self._set_down: list[tuple[float, float] | None] = [None for _ in Foot]
 
     def fill(self, row: np.ndarray, moment: Moment, command: Command) -> None:
         """Everything but the times that the driver of the tick measures."""
-        columns, reference = self._columns, moment.reference
-        row[columns["tick"]] = moment.tick
-        row[columns["time_ns"]] = moment.time_ns
-        row[columns["wall_ns"]] = moment.wall_ns
-        row[columns["source"]] = command.source
-        row[columns["mode"]] = reference.mode
-        row[columns["q"]] = moment.q
-        row[columns["v"]] = moment.v
-        row[columns["tau"]] = command.tau
-        row[columns["com"]] = moment.com
-        row[columns["com_reference"]] = reference.com
+        reference, decision = moment.reference, command.decision
         error = moment.com - reference.com
-        row[columns["com_error_m"]] = math.sqrt(error @ error)
-        row[columns["contact_violation_m_s2"]] = np.nan
-        decision = command.decision
-        row[columns["contraction"]] = row[columns["staleness_rad"]] = np.nan
-        row[columns["projector_sequence"]] = row[columns["active_set"]] = -1
+        forces = (self._unloaded, self._unloaded)
+        violation = contraction = staleness = math.nan
+        sequence = active_set = -1
         if decision is not None:
-            forces = row[columns["f"]].reshape(len(Foot), -1)
-            loaded = list(decision.mode.feet_indices)
-            forces[loaded] = decision.y[self._model.nv :].reshape(len(loaded), -1)
-            row[columns["contact_violation_m_s2"]] = self._violation(moment, decision.y)
-            row[columns["projector_sequence"]] = decision.sequence
-            row[columns["active_set"]] = decision.active_set
-            row[columns["contraction"]] = decision.contraction
-            row[columns["staleness_rad"]] = decision.staleness
-        row[columns["push_n"]] = moment.push
-        row[columns["foot_slip_m"]] = self._slips(moment)
-        row[columns["projector_age_ns"]] = command.age_ns
-        row[columns["on_board_qps"]] = moment.on_board_qps
-        row[columns["refused"]] = moment.refused
+            forces = self._forces(decision)
+            violation = self._violation(moment, decision.y)
+            sequence, active_set = decision.sequence, decision.active_set
+            contraction, staleness = decision.contraction, decision.staleness
+        np.concatenate(
+            (
+                (moment.tick, moment.time_ns, moment.wall_ns, command.source, reference.mode),
+                moment.q,
+                moment.v,
+                command.tau,
+                *forces,
+                moment.com,
+                reference.com,
+                (math.sqrt(error.dot(error)), violation),
+                moment.push,
+                self._slips(moment),
+                (command.age_ns, sequence, active_set, moment.on_board_qps),
+                (contraction, staleness),
+            ),
+            out=row[self._filled],
+        )
+        row[self._refused] = moment.refused
+
+    def _forces(self, decision: Decision) -> tuple[np.ndarray, np.ndarray]:
+        """Those of the left and of the right sole."""
+        f = decision.y[self._model.nv :]
+        if decision.mode is ContactMode.LEFT_SUPPORT:
+            return f, self._unloaded
+        if decision.mode is ContactMode.RIGHT_SUPPORT:
+            return self._unloaded, f
+        return f[:FORCES_PER_FOOT], f[FORCES_PER_FOOT:]
 
     def _slips(self, moment: Moment) -> list[float]:
         """Distance in the plane of each loaded sole from where it was set down, NaN in the air."""
         loaded = moment.reference.mode.feet
         slips = []
-        for foot, position in moment.soles.items():
+        for k, (foot, position) in enumerate(moment.soles.items()):
             if foot not in loaded:
-                self._set_down.pop(foot, None)
+                self._set_down[k] = None
                 slips.append(math.nan)
                 continue
-            moved = position[:2] - self._set_down.setdefault(foot, position[:2])
-            slips.append(math.hypot(*moved))
+            x, y, _ = position.tolist()
+            set_down = self._set_down[k] or (x, y)
+            self._set_down[k] = set_down
+            slips.append(math.hypot(x - set_down[0], y - set_down[1]))
         return slips
 
     def _violation(self, moment: Moment, y: np.ndarray) -> float:
