@@ -28,7 +28,7 @@ from shared.wbc.torque import recover_torque
 from shared.wire.codec import Codec
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Decision:
     """What a controller commands: joint torques `tau` (nv − 6,) [N m] and the solution `y` (n,) of
     contact mode `mode` they stand for, with its `active_set` as a bit mask. `source` is what it is
@@ -50,7 +50,7 @@ class Decision:
     staleness: float = math.nan
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Command:
     """The torque of one tick (nv − 6,) [N m], clamped; the decision behind it, if there is one.
 

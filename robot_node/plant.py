@@ -42,23 +42,25 @@ class MujocoPlant:
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         mujoco.set_mju_user_warning(_ignore_warning)
         self.data = mujoco.MjData(self.model)
-        self._base = self.model.body(robot.model.names[1]).id
+        # MuJoCo's own memory, each of which it would look up anew.
+        self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
+        self._force_on_base = self.data.xfrc_applied[self.model.body(robot.model.names[1]).id, :3]
         self.set_state(robot.q_standing, np.zeros(robot.model.nv))
 
     def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
         """Put the robot at (q, v)."""
         mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:], self.data.qvel[:] = to_mujoco(q, v)
+        self._qpos[:], self._qvel[:] = to_mujoco(q, v)
         mujoco.mj_forward(self.model, self.data)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """True (q, v), shapes (nq,) and (nv,)."""
-        return from_mujoco(self.data.qpos, self.data.qvel)
+        return from_mujoco(self._qpos, self._qvel)
 
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
         """One timestep under joint torques and a push, as in `Plant`."""
-        self.data.ctrl[:] = tau
-        self.data.xfrc_applied[self._base, :3] = push
+        self._ctrl[:] = tau
+        self._force_on_base[:] = push
         mujoco.mj_step(self.model, self.data)
 
 
@@ -77,8 +79,11 @@ def to_mujoco(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def from_mujoco(qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(qpos, qvel) of MuJoCo as (q, v) of Pinocchio."""
     q, v = qpos.copy(), qvel.copy()
-    q[3:7] = qpos[[4, 5, 6, 3]]
-    v[:3] = world_from_base(q).T @ qvel[:3]
+    q[3:6], q[6] = qpos[4:7], qpos[3]
+    world_from_base = np.empty((3, 3))
+    mujoco.mju_quat2Mat(world_from_base.ravel(), qpos[3:7])
+    # A row times R is Rᵀ times the column.
+    qvel[:3].dot(world_from_base, v[:3])
     return q, v
 
 

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from robot_node.plant import world_from_base
 from shared.robots import Robot
 
 # A fallen robot: CoM below this fraction of its standing height, or the base tilted beyond this.
@@ -25,12 +24,14 @@ class TorqueGuard:
 
     def __init__(self, robot: Robot, *, clamp: float) -> None:
         self.limit = clamp * robot.effort_limit
+        self._lowest = -self.limit
 
     def accept(self, tau: np.ndarray) -> np.ndarray | None:
         """`tau` clamped, shape (nv − 6,) [N m]; None if any entry is not finite."""
-        if not np.isfinite(tau).all():
+        # A finite sum of squares has finite terms only; one that overflows says nothing of them.
+        if not (math.isfinite(np.vdot(tau, tau)) or np.isfinite(tau).all()):
             return None
-        clamped: np.ndarray = np.minimum(np.maximum(tau, -self.limit), self.limit)
+        clamped: np.ndarray = np.minimum(np.maximum(tau, self._lowest), self.limit)
         return clamped
 
 
@@ -70,13 +71,15 @@ class JointHold:
     def __init__(self, robot: Robot) -> None:
         self._stiffness = _HOLD_STIFFNESS_PER_EFFORT * robot.effort_limit
         self._damping = _HOLD_DAMPING_PER_EFFORT * robot.effort_limit
-        self._posture = robot.q_standing[7:].copy()
-        self._torque = np.zeros_like(robot.effort_limit)
+        self._newest = np.empty((2, len(robot.effort_limit)))
+        self._average = np.stack([robot.q_standing[7:], np.zeros_like(robot.effort_limit)])
+        self._posture, self._torque = self._average
 
     def observe(self, q: np.ndarray, tau: np.ndarray) -> None:
         """A tick under normal control at measured q with torque tau: what would be held."""
-        self._posture += _HOLD_AVERAGE * (q[7:] - self._posture)
-        self._torque += _HOLD_AVERAGE * (tau - self._torque)
+        self._newest[0] = q[7:]
+        self._newest[1] = tau
+        self._average += _HOLD_AVERAGE * (self._newest - self._average)
 
     def torque(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Holding torque at (q, v), shape (nv − 6,) [N m]."""
@@ -88,7 +91,9 @@ class JointHold:
 
 def has_fallen(q: np.ndarray, *, com_height: float, standing_com_height: float) -> bool:
     """Whether a robot at the true configuration q counts as fallen."""
-    upright = world_from_base(q)[2, 2] > math.cos(FALLEN_TILT)
+    x, y = q[3:5].tolist()
+    # The vertical in the base frame, of which this is the vertical part, from the quaternion.
+    upright = 1.0 - 2.0 * (x * x + y * y) > math.cos(FALLEN_TILT)
     high = com_height > FALLEN_COM_HEIGHT * standing_com_height
     # Written so that a state that is not a number counts as fallen.
     return not (upright and high)

@@ -25,7 +25,10 @@ class Sensors:
     def measure(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Measured (q, v) from the true ones, shapes (nq,) and (nv,)."""
         q, v = q.copy(), v.copy()
-        noise = self._rng.standard_normal((2, len(v) - 6))
-        q[7:] += self._config.joint_position_noise * noise[0]
-        v[6:] += self._config.joint_velocity_noise * noise[1]
+        of_positions, of_velocities = self._rng.standard_normal((2, len(v) - 6))
+        joints = q[7:]
+        joints += self._config.joint_position_noise * of_positions
+        if self._config.joint_velocity_noise > 0.0:
+            rates = v[6:]
+            rates += self._config.joint_velocity_noise * of_velocities
         return q, v

@@ -33,6 +33,19 @@ def test_the_answer_to_this_tick_is_fresh(bench, controller):
     assert [command.age_ns for command in played.commands] == [DEADLINE_NS] * 5
 
 
+@pytest.mark.parametrize("controller", ["la", "pr", "lc"])
+def test_what_a_tick_has_given_is_not_changed_by_later_ticks(bench, controller):
+    # Much of what a tick computes with lies in Pinocchio's and MuJoCo's memory.
+    played = bench(controller=controller).run(3)
+    command, decision = played.commands[-1], played.commands[-1].decision
+    true_state, measured = played.robot._true_state, (played.robot._q, played.robot._v)
+    given = [command.tau, decision.tau, decision.y, *true_state, *measured, played.rows[-1]]
+    before = [array.copy() for array in given]
+    played.run(5, deliver=nothing)
+    for array, copy in zip(given, before, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
 def test_an_older_answer_is_cached_and_ages(bench):
     played = bench().run(1).run(3, deliver=nothing)
     assert [command.source for command in played.commands[1:]] == [Source.CACHED] * 3
