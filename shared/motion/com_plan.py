@@ -60,11 +60,13 @@ class ComPlan:
     ) -> None:
         self.segments = tuple(segments)
         self.omega = omega
-        self._begins = [segment.begin for segment in segments]
+        self._begins = [segment.begin for segment in self.segments]
+        # With the pendulum's constant height.
+        height = GRAVITY / omega**2
         xi_ends = [capture_point]
         for segment in reversed(self.segments[1:]):
             xi_ends.append(_xi_before(segment, xi_ends[-1], omega))
-        self._coefficients = []
+        self._tables = []
         c = position
         for segment, xi_end in zip(self.segments, reversed(xi_ends), strict=True):
             duration = segment.finish - segment.begin
@@ -73,9 +75,10 @@ class ComPlan:
             # A e^{ωt} at the segment's end, B e^{−ωt} at its beginning: neither ever overflows.
             growing = (xi_end - segment.end - slope / omega) / 2
             decaying = c - segment.start - growing * decay
-            self._coefficients.append((slope, growing, decaying))
+            self._tables.append(self._table(segment.start, slope, growing, decaying, height))
             c = segment.end + growing + decaying * decay
-        self._rest = c
+        zero = np.zeros(2)
+        self._at_rest = self._table(c, zero, zero, zero, height)
 
     @property
     def duration(self) -> float:
@@ -84,22 +87,44 @@ class ComPlan:
 
     def state(self, time: float) -> ComState:
         """CoM and ZMP at `time` [s]."""
+        position, velocity, acceleration = self.motion(time)[:, :2]
+        return ComState(
+            position, velocity, acceleration, zmp=position - acceleration / self.omega**2
+        )
+
+    def motion(self, time: float) -> np.ndarray:
+        """CoM at `time` [s], at its height: position, velocity, acceleration as rows, (3, 3)."""
         if time >= self.duration:
-            zero = np.zeros(2)
-            return ComState(self._rest, zero, zero, self._rest)
+            return _ONE.dot(self._at_rest).reshape(3, 3)
         k = max(0, bisect.bisect_right(self._begins, time) - 1)
         segment = self.segments[k]
-        slope, growing, decaying = self._coefficients[k]
         t = max(0.0, time - segment.begin)
-        up = growing * math.exp(self.omega * (segment.begin + t - segment.finish))
-        down = decaying * math.exp(-self.omega * t)
-        zmp = segment.start + slope * t
-        return ComState(
-            position=zmp + up + down,
-            velocity=slope + self.omega * (up - down),
-            acceleration=self.omega**2 * (up + down),
-            zmp=zmp,
-        )
+        up = math.exp(self.omega * (segment.begin + t - segment.finish))
+        down = math.exp(-self.omega * t)
+        motion: np.ndarray = np.array((1.0, t, up, down)).dot(self._tables[k])
+        return motion.reshape(3, 3)
+
+    def _table(
+        self,
+        start: np.ndarray,
+        slope: np.ndarray,
+        growing: np.ndarray,
+        decaying: np.ndarray,
+        height: float,
+    ) -> np.ndarray:
+        """(4, 9): what 1, t, e^{ωt} from the segment's end and e^{−ωt} from its beginning are
+        multiplied by, and summed, for position, velocity and acceleration (3,) each.
+        """
+        omega = self.omega
+        table = np.zeros((4, 3, 3))
+        table[0, 0] = *start, height
+        table[0, 1, :2] = table[1, 0, :2] = slope
+        for k, (part, rate) in enumerate(((growing, omega), (decaying, -omega)), start=2):
+            table[k, :, :2] = part, rate * part, rate**2 * part
+        return table.reshape(4, 9)
+
+
+_ONE = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def dcm_plan(segments: Sequence[ZmpSegment], *, omega: float, position: np.ndarray) -> ComPlan:

@@ -35,15 +35,14 @@ def swing(
     u, rate = time / duration, 1.0 / duration
     s, ds, dds = quintic(u)
     z, dz, ddz = bump(u)
-    distance_x, distance_y = goal.x - start.x, goal.y - start.y
+    x, y = goal.x - start.x, goal.y - start.y
     turn = math.atan2(math.sin(goal.yaw - start.yaw), math.cos(goal.yaw - start.yaw))
-    return SwingState(
-        position=np.array([start.x + s * distance_x, start.y + s * distance_y, height * z]),
-        velocity=np.array([ds * rate * distance_x, ds * rate * distance_y, height * dz * rate]),
-        acceleration=np.array(
-            [dds * rate**2 * distance_x, dds * rate**2 * distance_y, height * ddz * rate**2]
-        ),
-        yaw=start.yaw + s * turn,
-        yaw_rate=ds * rate * turn,
-        yaw_acceleration=dds * rate**2 * turn,
+    ds, dds = ds * rate, dds * rate**2
+    position, velocity, acceleration = np.array(
+        (
+            (start.x + s * x, start.y + s * y, height * z),
+            (ds * x, ds * y, height * dz * rate),
+            (dds * x, dds * y, height * ddz * rate**2),
+        )
     )
+    return SwingState(position, velocity, acceleration, start.yaw + s * turn, ds * turn, dds * turn)

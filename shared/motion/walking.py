@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from shared.config.settings import WalkConfig
 from shared.motion.com_plan import GRAVITY, ComPlan, ZmpSegment, dcm_plan
@@ -24,7 +23,7 @@ from shared.motion.standing import Standing
 from shared.motion.swing import quintic, swing
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
-from shared.wbc.reference import Motion, Reference, motion_digest
+from shared.wbc.reference import Motion, Reference, motion_digest, turned
 
 # Time in which the ZMP goes from the last support foot to between the feet [s].
 _SETTLE = 0.4
@@ -64,7 +63,7 @@ class Walking:
     def reference(self, time_ns: int) -> Reference:
         """Reference at `time_ns` since the walk began; standing after its end."""
         phase = self._phase(time_ns)
-        com = self.com_plan.state(time_ns * 1e-9)
+        com, com_velocity, com_acceleration = self.com_plan.motion(time_ns * 1e-9)
         swing_state, yaw = None, self._yaw_after(phase)
         if phase.mode is not ContactMode.DOUBLE_SUPPORT and phase.step is not None:
             elapsed = (time_ns - phase.begin_ns) * 1e-9
@@ -79,10 +78,10 @@ class Walking:
             before = (phase.step.start.yaw + phase.step.support.yaw) / 2
             yaw = before + quintic(elapsed / duration)[0] * (yaw - before)
         return Reference(
-            com=_at_height(com.position, self._com_height),
-            com_velocity=_at_height(com.velocity, 0.0),
-            com_acceleration=_at_height(com.acceleration, 0.0),
-            world_from_base=pin.utils.rotate("z", yaw) @ self._base_in_standing,
+            com=com,
+            com_velocity=com_velocity,
+            com_acceleration=com_acceleration,
+            world_from_base=turned(yaw).dot(self._base_in_standing),
             posture=self._standing.posture,
             mode=phase.mode,
             swing=swing_state,
@@ -166,14 +165,6 @@ class Walking:
 
     def _zmp(self, print_: Footprint) -> np.ndarray:
         return print_.to_world(self._zmp_in_sole[print_.foot])
-
-
-def _at_height(plane: np.ndarray, height: float) -> np.ndarray:
-    """(x, y) with a height, (3,)."""
-    vector = np.empty(3)
-    vector[:2] = plane
-    vector[2] = height
-    return vector
 
 
 def _phases(config: WalkConfig, steps: tuple[Step, ...]) -> tuple[Phase, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,7 +12,7 @@ import numpy as np
 from shared.wbc.contacts import ContactMode
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class SwingState:
     """Sole frame of the swing foot: position, velocity, acceleration (3,) in the world; heading
     [rad] and its first and second derivative."""
@@ -24,7 +25,7 @@ class SwingState:
     yaw_acceleration: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Reference:
     """What the tasks track at one instant.
 
@@ -60,6 +61,12 @@ class Motion(Protocol):
     def stopped(self, time_ns: int) -> Motion:
         """The same motion until `time_ns`, from then on to a stand as soon as it can be."""
         ...
+
+
+def turned(yaw: float) -> np.ndarray:
+    """Rotation by `yaw` [rad] about the vertical, (3, 3)."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
 
 
 def motion_digest(*parts: np.ndarray) -> bytes:

@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from shared.robots import Foot
 from shared.wbc.model import Jacobians, Kinematics, RowMultipliers
-from shared.wbc.reference import Reference
+from shared.wbc.reference import Reference, turned
 
 
 class Task(Protocol):
@@ -156,49 +156,50 @@ class SwingFootTask:
     def __init__(self, *, weight: float, kp: float, foot: Foot) -> None:
         self.weight = weight
         self.foot = foot
-        self._gains = Gains.of(weight=weight, kp=kp)
-        self._gain_array = self._gains.array()
-        # In the world: position, velocity, acceleration asked of the sole's origin; and what they
-        # and the heading ask of its linear and angular acceleration.
+        self._gains = gains = Gains.of(weight=weight, kp=kp)
+        self._gain_array = gains.array()
+        # Position, velocity, acceleration asked of the sole's origin, in the world; and what they
+        # and the heading ask of the sole's linear and angular acceleration.
         self._errors = np.zeros((3, 3))
         self._of_position, self._of_velocity, self._of_acceleration = self._errors
-        self._asked = np.zeros((2, 3))
+        self._in_world = np.zeros((2, 3))
+        # The terms of the rows, in the sole frame, each with its factor.
+        self._terms = np.zeros((5, 6))
+        self._asked, self._velocity, self._acceleration, self._turning, self._tilt = self._terms
+        self._factors = np.array(
+            [1.0, -gains.velocity, -gains.acceleration, -gains.acceleration, gains.position]
+        )
 
     def jacobian(self, jacobians: Jacobians) -> np.ndarray:
         return jacobians.J_sole[self.foot]
 
     def write_target(self, rows: np.ndarray, kinematics: Kinematics, reference: Reference) -> None:
         gains, swing = self._gains, reference.swing
-        np.multiply(kinematics.sole_acceleration[self.foot], -gains.acceleration, rows)
+        self._acceleration[:] = kinematics.sole_acceleration[self.foot]
         if swing is None:  # the plan has this foot on the ground: keep it where it is
+            np.multiply(self._acceleration, -gains.acceleration, rows)
             return
         placement = kinematics.sole_placement(self.foot)
         R = placement.rotation
         np.subtract(swing.position, placement.translation, self._of_position)
         self._of_velocity[:] = swing.velocity
         self._of_acceleration[:] = swing.acceleration
-        asked = self._asked
-        self._gain_array.dot(self._errors, asked[0])
-        asked[1, 2] = gains.velocity * swing.yaw_rate + gains.acceleration * swing.yaw_acceleration
-        rows += asked.dot(R).ravel()
-        velocity = kinematics.sole_velocity[self.foot]
-        rows -= gains.velocity * velocity
+        linear, angular = self._in_world
+        self._gain_array.dot(self._errors, linear)
+        angular[2] = gains.velocity * swing.yaw_rate + gains.acceleration * swing.yaw_acceleration
+        self._in_world.dot(R, self._asked.reshape(2, 3))
+        self._velocity[:] = velocity = kinematics.sole_velocity[self.foot]
         # The rows hold spatial accelerations: a point's acceleration less ω × v.
-        rows[:3] -= gains.acceleration * _cross(velocity[3:], velocity[:3])
-        rows[3:] += gains.position * pin.log3(R.T.dot(_heading(swing.yaw)))
+        self._turning[:3] = _cross(velocity[3:], velocity[:3])
+        self._tilt[3:] = pin.log3(R.T.dot(turned(swing.yaw)))
+        self._factors.dot(self._terms, rows)
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
         multipliers.soles[self.foot] = multipliers.soles.get(self.foot, 0.0) + rows
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _cross(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
     """a × b of two vectors (3,); numpy's own takes as long as the whole rest of a target."""
     a_x, a_y, a_z = a.tolist()
     b_x, b_y, b_z = b.tolist()
-    return np.array([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x])
-
-
-def _heading(yaw: float) -> np.ndarray:
-    """Rotation by `yaw` about the vertical, (3, 3)."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x

@@ -9,6 +9,7 @@ import pytest
 
 from shared.config.settings import WalkConfig
 from shared.errors import ConfigError
+from shared.motion.standing import Standing
 from shared.motion.walking import Walking
 from shared.robots import Foot
 from shared.wbc.contacts import ContactMode
@@ -76,6 +77,22 @@ def test_the_com_obeys_the_pendulum(walking, config):
             state = walking.com_plan.state(time_ns * 1e-9)
             expected = omega**2 * (reference.com[:2] - state.zmp)
             np.testing.assert_allclose(reference.com_acceleration[:2], expected, atol=1e-9)
+
+
+def test_the_zmp_of_the_com_is_the_planned_one(walking):
+    plan = walking.com_plan
+    for segment in plan.segments:
+        for share in (0.01, 0.5, 0.99):
+            time = segment.begin + share * (segment.finish - segment.begin)
+            planned = segment.start + share * (segment.end - segment.start)
+            np.testing.assert_allclose(plan.state(time).zmp, planned, atol=1e-10)
+
+
+def test_the_com_is_at_the_height_of_standing(robot, walking, config):
+    height = Standing(robot).reference(0).com[2]
+    for _, reference in sampled(walking, config, period_ms=37):
+        assert reference.com[2] == pytest.approx(height, rel=1e-12)
+        assert reference.com_velocity[2] == reference.com_acceleration[2] == 0.0
 
 
 def test_position_is_continuous_and_velocity_its_derivative(walking, config):
