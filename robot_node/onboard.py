@@ -136,7 +136,7 @@ class OnBoardWindow:
         self._prepare_ns = max(config.prepare_ns, self._ready_after_ns)
         self._period_ns = max(config.period_ns, self._ready_after_ns)
         self._under_way: tuple[int, int] | None = None
-        self._next_solve_ns = 0
+        self._next_solve_ns = self._idle_until_ns = 0
         self._last_switch_ns = -(2**62)
         self._prepared_for_ns = -1
 
@@ -164,6 +164,8 @@ class OnBoardWindow:
 
     def _due(self, time_ns: int) -> int | None:
         """The task time to solve for now: a coming switch, this moment, or None."""
+        if time_ns < self._idle_until_ns:
+            return None
         config = self._config
         switches = coming_switches(self._motion, time_ns)
         free_until_ns = 2**62
@@ -173,6 +175,8 @@ class OnBoardWindow:
                 self._prepared_for_ns = switch_ns
                 return switch_ns
         if not config.solve_on_board or not self._in_window(time_ns, switches):
+            window_ns = switches[0] - config.window_ns // 2 if switches else 2**62
+            self._idle_until_ns = min(free_until_ns, window_ns)
             return None
         if time_ns < self._next_solve_ns or time_ns + self._ready_after_ns > free_until_ns:
             return None
