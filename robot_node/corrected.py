@@ -130,7 +130,8 @@ class LocallyCorrected(Controller):
             self._iterate, active_set = corrected
             if step == 0:
                 first = self._iterate
-            sizes.append(self._size(self._iterate.y - before))
+            if probing:
+                sizes.append(self._size(self._iterate.y - before))
         if probing:
             self._contraction.observe(*sizes[-2:])
             if self._uncorrected:  # the probe was a look ahead only

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from shared.robots import Robot
+from shared.wbc.finite import all_finite
 
 # A fallen robot: CoM below this fraction of its standing height, or the base tilted beyond this.
 FALLEN_COM_HEIGHT = 0.6
@@ -28,8 +29,7 @@ class TorqueGuard:
 
     def accept(self, tau: np.ndarray) -> np.ndarray | None:
         """`tau` clamped, shape (nv − 6,) [N m]; None if any entry is not finite."""
-        # A finite sum of squares has finite terms only; one that overflows says nothing of them.
-        if not (math.isfinite(np.vdot(tau, tau)) or np.isfinite(tau).all()):
+        if not all_finite(tau):
             return None
         clamped: np.ndarray = np.minimum(np.maximum(tau, self._lowest), self.limit)
         return clamped

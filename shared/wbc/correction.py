@@ -22,6 +22,7 @@ import daqp
 import numpy as np
 
 from shared.wbc.contacts import FORCES_PER_FOOT, ContactMode
+from shared.wbc.finite import all_finite
 from shared.wbc.model import Kinematics, RowMultipliers, WholeBodyModel
 from shared.wbc.projector import spd_inverse
 from shared.wbc.stack import N_DYNAMICS, ROWS_PER_CONTACT, Stack, StackMatrices
@@ -108,7 +109,7 @@ class Corrector:
         P, Q, A = factorisation.P, factorisation.Q, factorisation.A
         # From the residuals of all rows to the correction of y.
         self._K = np.ascontiguousarray(np.hstack([Q, P[:, :n_a] @ A.T]))
-        self._regularisation = stack.force_weight * P[:, n_a:]
+        self._regularisation = np.ascontiguousarray(stack.force_weight * P[:, n_a:])
         # λ acts through forces: moving f in the metric of P_ff⁻¹ moves y by P Cᵀ λ.
         self._F = spd_inverse(P[n_a:, n_a:])
         self._y_from_f = np.ascontiguousarray(P[:, n_a:] @ self._F)
@@ -136,7 +137,8 @@ class Corrector:
         n_a = stack.layout.n_accelerations
         y, nu = iterate.y, iterate.nu
         if self._level == "b":
-            y = y + relaxation * (self._K @ residual[:-1] - self._regularisation @ y[n_a:])
+            moved = self._K.dot(residual[:-1]) - self._regularisation.dot(y[n_a:])
+            y = y + (moved if relaxation == 1.0 else relaxation * moved)
         else:
             gradient = self._gradient(iterate, residual, model, now)
             P, Q, T = self.factorisation.P, self.factorisation.Q, self.factorisation.T
@@ -144,14 +146,18 @@ class Corrector:
             y = y + relaxation * (Q @ equalities - P @ gradient)
             nu = nu + relaxation * (Q.T @ gradient + T @ equalities)
         f = y[n_a:]
-        if not np.isfinite(y).all():
+        if not all_finite(y):
             return None
+        C, l = stack.contacts.C, stack.contacts.l  # noqa: E741
+        if (C.dot(f) >= l).all():
+            # Forces that obey the friction rows are the nearest that do.
+            return Iterate(stack.mode, y, nu), 0
         projected = self._project(f)
         if projected is None:
             return None
         f_best, active = projected
         moved = f_best - f
-        y = y + self._y_from_f @ moved
+        y = y + self._y_from_f.dot(moved)
         if self._level != "b":
             nu = nu - self.factorisation.Q[n_a:].T @ (self._F @ moved)
         return Iterate(stack.mode, y, nu), stack.mode.active_set(active)

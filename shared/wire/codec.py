@@ -23,6 +23,7 @@ from shared.errors import ConfigError, MessageRefused
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Factorisation
+from shared.wbc.finite import all_finite
 from shared.wbc.projector import Projector
 from shared.wbc.reference import Motion
 from shared.wbc.stack import RowLayout, make_stacks
@@ -414,15 +415,11 @@ def _check_size(kind: str, size: int, max_bytes: int) -> None:
 
 
 def _finite(data: bytes, dtype: np.dtype[Any] = _DOUBLE) -> np.ndarray | None:
-    """The numbers, as float64; None if the sum of their squares is not finite.
-
-    That is so if one of them is not, or if they are so large that each has to be looked at.
-    """
+    """The numbers, as float64; None if one of them is not finite."""
     numbers = np.frombuffer(data, dtype)
     if dtype is not _DOUBLE:
         numbers = numbers.astype(np.float64)
-    # Unlike `dot` it says nothing of an overflow.
-    return numbers if math.isfinite(np.vdot(numbers, numbers)) else None
+    return numbers if all_finite(numbers) else None
 
 
 def _integer(fields: dict[str, Any], name: str) -> int:
@@ -472,6 +469,6 @@ def _array(
     if not isinstance(data, bytes) or len(data) != dtype.itemsize * math.prod(shape):
         raise MessageRefused("shape", name)
     numbers = np.frombuffer(data, dtype=dtype)
-    if not np.isfinite(numbers).all():
+    if not all_finite(numbers):
         raise MessageRefused("not_finite", name)
     return numbers.astype(np.float64, copy=False).reshape(shape)

@@ -44,6 +44,21 @@ def test_one_step_from_zero_with_a_fresh_factorisation_is_the_optimum(bench, sta
     assert max(sizes) >= 10
 
 
+@pytest.mark.parametrize("level", LEVELS)
+def test_forces_that_obey_the_friction_rows_are_left_as_they_are(double, robot, level):
+    # Standing still, no row is tight: the QP without friction rows has the same optimum.
+    state = State(robot.q_standing, np.zeros(double.model.nv))
+    problem = double.problem(state)
+    n, n_e = len(problem.g), len(problem.e)
+    kkt = np.block([[problem.H, problem.E.T], [problem.E, np.zeros((n_e, n_e))]])
+    expected = np.linalg.solve(kkt, np.concatenate([-problem.g, problem.e]))[:n]
+    assert (problem.C @ expected > problem.l).all()
+    corrector = Corrector(double.stack, double.factorise(state.q), level=level)
+    iterate, active_set = double.step(corrector, Iterate.zero(double.stack), state)
+    assert active_set == 0
+    assert relative(iterate.y - expected, expected) < TOLERANCE
+
+
 @pytest.mark.parametrize("level", ["b_adjoint", "c"])
 def test_the_multipliers_are_those_of_the_equalities(bench, states, level):
     for state in states:
