@@ -94,15 +94,17 @@ class ComPlan:
 
     def motion(self, time: float) -> np.ndarray:
         """CoM at `time` [s], at its height: position, velocity, acceleration as rows, (3, 3)."""
+        motion: np.ndarray
         if time >= self.duration:
-            return _ONE.dot(self._at_rest).reshape(3, 3)
+            motion = self._at_rest[0].reshape(3, 3)
+            return motion
         k = max(0, bisect.bisect_right(self._begins, time) - 1)
         segment = self.segments[k]
         t = max(0.0, time - segment.begin)
         up = math.exp(self.omega * (segment.begin + t - segment.finish))
         down = math.exp(-self.omega * t)
-        motion: np.ndarray = np.array((1.0, t, up, down)).dot(self._tables[k])
-        return motion.reshape(3, 3)
+        motion = np.array((1.0, t, up, down)).dot(self._tables[k]).reshape(3, 3)
+        return motion
 
     def _table(
         self,
@@ -122,9 +124,6 @@ class ComPlan:
         for k, (part, rate) in enumerate(((growing, omega), (decaying, -omega)), start=2):
             table[k, :, :2] = part, rate * part, rate**2 * part
         return table.reshape(4, 9)
-
-
-_ONE = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def dcm_plan(segments: Sequence[ZmpSegment], *, omega: float, position: np.ndarray) -> ComPlan:
