@@ -84,6 +84,9 @@ class DaqpSolver:
         -4: QpStatus.ITERATION_LIMIT,
     }
 
+    def __init__(self) -> None:
+        self._models: dict[tuple[int, int, int], daqp.Model] = {}
+
     def solve(
         self, problem: QuadraticProgram, *, warm_active: np.ndarray | None = None
     ) -> QpSolution:
@@ -101,12 +104,24 @@ class DaqpSolver:
             upper = np.concatenate([problem.e, upper])
             equalities = np.full(len(problem.e), self._EQUALITY, dtype=np.int32)
             sense = np.concatenate([equalities, sense])
-        x, _, flag, info = daqp.solve(
-            problem.H, problem.g, np.ascontiguousarray(rows), upper, lower, sense
-        )
+        data = (problem.H, problem.g, np.ascontiguousarray(rows), upper, lower, sense)
+        shape = (len(problem.g), len(rows) - m, m)
+        # Kept for the next problem of its shape only if this one leaves it in order; one without
+        # rows cannot be updated.
+        model = self._models.pop(shape, None)
+        if model is None:
+            model = daqp.Model()
+            flag, _ = model.setup(*data)
+        else:
+            flag = model.update(*data)
+        if flag < 0:
+            return QpSolution(self._STATUS.get(flag, QpStatus.FAILED))
+        x, _, flag, info = model.solve()
         status = self._STATUS.get(flag, QpStatus.FAILED)
         if status is not QpStatus.SOLVED:
             return QpSolution(status, iterations=info["iterations"])
+        if len(rows):
+            self._models[shape] = model
         # A multiplier is non-zero exactly for the rows of the final working set.
         multipliers = np.asarray(info["lam"])[-m:] if m else np.empty(0)
         return QpSolution(
@@ -143,24 +158,18 @@ class ProxsuiteSolver:
         m_e = 0 if problem.E is None else problem.E.shape[0]
         upper = np.full(m, 1e30)
         data = (problem.H, problem.g, problem.E, problem.e, problem.C, problem.l, upper)
-        workspace = self._workspaces.get((n, m_e, m))
-        if workspace is None:
-            workspace = proxqp.dense.QP(n, m_e, m)
-            workspace.settings.eps_abs = self._ACCURACY
-            workspace.settings.eps_rel = 0.0
-            workspace.settings.check_duality_gap = False
-            # The defaults allow minutes on an infeasible problem.
-            workspace.settings.max_iter = self._MAX_ITERATIONS
-            workspace.settings.max_iter_in = self._MAX_INNER_ITERATIONS
+        workspace = self._workspace(n, m_e, m)
+        before = workspace.results.info.status
+        if before == proxqp.QPSolverOutput.PROXQP_NOT_RUN:
             workspace.init(*data)
-            self._workspaces[n, m_e, m] = workspace
         else:
             workspace.update(*data)
         # Warm means the workspace's own previous iterate, which holds more than an active set.
+        # Where there is none, `proxsuite` would read memory that is not its own.
         workspace.settings.initial_guess = (
-            proxqp.InitialGuess.NO_INITIAL_GUESS
-            if warm_active is None
-            else proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+            proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+            if warm_active is not None and before == proxqp.QPSolverOutput.PROXQP_SOLVED
+            else proxqp.InitialGuess.NO_INITIAL_GUESS
         )
         workspace.solve()
         results = workspace.results
@@ -176,6 +185,20 @@ class ProxsuiteSolver:
             active=independent_rows(problem, candidates),
             iterations=results.info.iter,
         )
+
+    def _workspace(self, n: int, m_e: int, m: int) -> proxqp.dense.QP:
+        """That of an earlier problem of these sizes, or a new one."""
+        workspace = self._workspaces.get((n, m_e, m))
+        if workspace is None:
+            workspace = proxqp.dense.QP(n, m_e, m)
+            workspace.settings.eps_abs = self._ACCURACY
+            workspace.settings.eps_rel = 0.0
+            workspace.settings.check_duality_gap = False
+            # The defaults allow minutes on an infeasible problem.
+            workspace.settings.max_iter = self._MAX_ITERATIONS
+            workspace.settings.max_iter_in = self._MAX_INNER_ITERATIONS
+            self._workspaces[n, m_e, m] = workspace
+        return workspace
 
 
 def independent_rows(problem: QuadraticProgram, candidates: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.errors import ConfigError
+from shared.process.entry import python
 from shared.wbc.qp import (
     DaqpSolver,
     ProxsuiteSolver,
@@ -100,6 +102,15 @@ def test_a_solver_that_is_used_again_forgets_the_last_problem(solver, rng):
         np.testing.assert_array_equal(again.active, fresh.active)
 
 
+def test_daqp_solves_again_to_the_last_bit_what_it_has_solved(rng):
+    solver = DaqpSolver()
+    problems = [random_problem(rng) for _ in range(15)]
+    problems += [dataclasses.replace(problem, g=-problem.g) for problem in problems]
+    for problem in problems:
+        x = DaqpSolver().solve(problem).x
+        np.testing.assert_array_equal(solver.solve(problem).x, x)
+
+
 def test_a_solver_leaves_the_problem_as_it_was(solver, rng):
     problem = random_problem(rng)
     before = {f.name: np.copy(getattr(problem, f.name)) for f in dataclasses.fields(problem)}
@@ -115,6 +126,31 @@ def test_a_warm_start_changes_the_way_and_not_the_answer(solver, rng):
         warm = solver.solve(problem, warm_active=cold.active)
         assert warm.status is QpStatus.SOLVED
         np.testing.assert_array_equal(warm.active, cold.active)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_first_call_may_be_warm(name):
+    # In a process of its own: what went wrong here ended the process.
+    program = (
+        "import numpy as np\n"
+        "from shared.wbc.qp import QuadraticProgram, make_solver\n"
+        "problem = QuadraticProgram(np.eye(2), np.ones(2), np.eye(2), np.zeros(2))\n"
+        f"solver = make_solver({name!r})\n"
+        "for _ in range(2):\n"
+        "    print(solver.solve(problem, warm_active=np.array([0])).active.tolist())\n"
+    )
+    done = subprocess.run(python("-c", program), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "[0, 1]\n[0, 1]\n"), done.stderr
+
+
+def test_a_warm_call_after_an_infeasible_problem_starts_anew(solver):
+    good = QuadraticProgram(
+        H=np.eye(2), g=np.zeros(2), C=np.array([[1.0, 0.0], [-1.0, 0.0]]), l=np.array([1.0, -2.0])
+    )
+    solver.solve(dataclasses.replace(good, l=np.array([1.0, 0.0])))
+    solution = solver.solve(good, warm_active=np.array([0]))
+    assert solution.status is QpStatus.SOLVED
+    assert solution.active.tolist() == [0]
 
 
 def test_a_problem_without_constraints_is_a_linear_system(solver):
