@@ -179,14 +179,13 @@ class WholeBodyModel:
     def jacobians(self, q: np.ndarray) -> Jacobians:
         """Terms of A at q."""
         model, data = self.model, self.data
-        M = pin.crba(model, data, q)
-        pin.computeJointJacobians(model, data, q)
+        M_unactuated = pin.crba(model, data, q)[:6].copy()
         J_sole = {
-            foot: pin.getFrameJacobian(model, data, sole.frame, pin.LOCAL)
+            foot: pin.computeFrameJacobian(model, data, q, sole.frame, pin.LOCAL)
             for foot, sole in self._soles.items()
         }
         # The base rows of M map v to the momentum in the base frame; its first part is m ċ.
-        return Jacobians(M_unactuated=M[:6].copy(), J_sole=J_sole, J_com=M[:3] / self._mass)
+        return Jacobians(M_unactuated, J_sole, J_com=M_unactuated[:3] / self._mass)
 
     def sole_motion(
         self, foot: Foot, q: np.ndarray, v: np.ndarray, a: np.ndarray

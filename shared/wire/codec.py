@@ -85,6 +85,8 @@ class Codec:
 
     def rounded(self, projector: Projector) -> Projector:
         """The projector as the other end will see it, after the wire's number format."""
+        if self._dtype == projector.A_dagger.dtype:
+            return projector
         A_dagger = projector.A_dagger.astype(self._dtype).astype(np.float64)
         return Projector(mode=projector.mode, A_dagger=A_dagger, active=projector.active)
 

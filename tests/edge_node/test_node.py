@@ -12,6 +12,7 @@ from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import factorise_kkt
 from shared.wbc.qp import QpStatus
 from shared.wbc.torque import recover_torque
+from shared.wbc.whole_body import WholeBodyController
 from shared.wire.codec import Codec
 from tests.messages import altered, make_state
 
@@ -314,11 +315,12 @@ def test_damping_is_in_what_is_sent(robot, motion, configured, stacks, model, st
         assert np.abs(undamped.P - damped.P).max() > 0.1
 
 
-def test_a_configuration_that_cannot_be_factorised_is_named_and_tried_again(edge, robot, state):
-    q = robot.q_standing.copy()
-    q[:3] = 1e200  # nothing is left of a foot's distance from there
-    edge.receive(state(0, q=q, held_sequences=NOTHING_HELD))
-    with np.errstate(all="ignore"):
+def test_a_configuration_that_cannot_be_factorised_is_named_and_tried_again(
+    edge, state, monkeypatch
+):
+    edge.receive(state(0, held_sequences=NOTHING_HELD))
+    with monkeypatch.context() as singular:
+        singular.setattr(WholeBodyController, "factorise", lambda *_, **__: None)
         answer = edge.step()
     assert answer.data is None
     assert answer.solution.status is QpStatus.NOT_FINITE
