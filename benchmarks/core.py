@@ -24,15 +24,9 @@ from shared.output.text_table import aligned
 from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Corrector, Factorisation, Iterate, factorise_kkt
+from shared.wbc.least_norm import LeastNorm
 from shared.wbc.model import Jacobians, Kinematics, WholeBodyModel
-from shared.wbc.projector import (
-    CondensedQp,
-    Projector,
-    condense,
-    factorise,
-    full_problem,
-    solve,
-)
+from shared.wbc.projector import Projector, condense, full_problem, hold, solve
 from shared.wbc.qp import DaqpSolver, ProxsuiteSolver, QuadraticProgram
 from shared.wbc.stack import Stack, StackMatrices
 
@@ -78,7 +72,8 @@ class _Case:
     jacobians: Jacobians
     matrices: StackMatrices
     b: np.ndarray
-    condensed: CondensedQp
+    least_norm: LeastNorm
+    condensed: QuadraticProgram
     full: QuadraticProgram
     active: np.ndarray
     projector: Projector
@@ -172,21 +167,26 @@ def _alternatives(robot: Robot, config: RunConfig, repetitions: int, seed: int) 
         return measure(name, operation, cases, repetitions=repetitions)
 
     return [
-        timed("condense to forces", lambda c: condense(stack, c.matrices, c.b)),
-        timed("QP in forces, daqp cold", lambda c: daqp.solve(c.condensed.problem)),
+        timed("least-norm form", lambda c: stack.least_norm(c.matrices)),
+        timed("condense to forces", lambda c: condense(stack, c.least_norm, c.b)),
+        timed("QP in forces, daqp cold", lambda c: daqp.solve(c.condensed)),
         timed(
             "QP in forces, daqp warm",
-            lambda c: daqp.solve(c.condensed.problem, warm_active=c.active),
+            lambda c: daqp.solve(c.condensed, warm_active=c.active),
         ),
-        timed("QP in forces, proxsuite cold", lambda c: proxsuite.solve(c.condensed.problem)),
+        timed("QP in forces, proxsuite cold", lambda c: proxsuite.solve(c.condensed)),
         timed(
             "QP in forces, proxsuite warm",
-            lambda c: proxsuite.solve(c.condensed.problem, warm_active=c.active),
+            lambda c: proxsuite.solve(c.condensed, warm_active=c.active),
         ),
         timed(_REFERENCE, lambda c: daqp.solve(c.full)),
         timed("QP, all 61 unknowns, proxsuite cold", lambda c: proxsuite.solve(c.full)),
-        timed("projector from active set", lambda c: factorise(stack, c.condensed, c.active)),
-        timed("condense + QP + projector", lambda c: solve(stack, c.matrices, c.b, solver=daqp)),
+        timed("projector from active set", lambda c: hold(stack, c.least_norm, c.active)),
+        timed("form + QP + projector", lambda c: solve(stack, c.matrices, c.b, solver=daqp)),
+        timed(
+            "form + projector, active set known",
+            lambda c: solve(stack, c.matrices, c.b, solver=daqp, likely_active=c.active),
+        ),
         timed("blocks of the KKT inverse", lambda c: factorise_kkt(stack, c.matrices, c.q[7:])),
         timed("corrector from the blocks", lambda c: Corrector(stack, c.blocks, level="b")),
         *(
@@ -223,9 +223,10 @@ def _cases(robot: Robot, stack: Stack, config: RunConfig, seed: int) -> list[_Ca
         jacobians = model.jacobians(q)
         matrices = stack.matrices(jacobians)
         b = stack.right_hand_side(model.kinematics(q, v), reference)
-        condensed = condense(stack, matrices, b)
-        active = daqp.solve(condensed.problem).active
-        projector = factorise(stack, condensed, active)
+        least_norm = stack.least_norm(matrices)
+        condensed = condense(stack, least_norm, b)
+        active = daqp.solve(condensed).active
+        projector = hold(stack, least_norm, active).projector
         y = projector.apply(b)
         at_solution = stack.kinematics_at(y, model=model, q=q, v=v)
         residual = stack.right_hand_side(at_solution, reference)
@@ -237,6 +238,7 @@ def _cases(robot: Robot, stack: Stack, config: RunConfig, seed: int) -> list[_Ca
                 jacobians=jacobians,
                 matrices=matrices,
                 b=b,
+                least_norm=least_norm,
                 condensed=condensed,
                 full=full_problem(stack, matrices, b),
                 active=active,

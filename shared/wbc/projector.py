@@ -1,16 +1,14 @@
 """The QP at one state, its active set, and the projector A† of that set: y = A† b, Eq. (4).
 
-The tasks act on a only and the friction rows on f only, so a is eliminated first. For given f,
+With the active friction rows held at equality the QP asks for the shortest z that obeys B z = Z b
+(`least_norm`), in which the tasks and √ω_f f have weight one:
 
-    a = P_a Aᵀ s + Q (e − E_f f),   S = E_a H⁻¹ E_aᵀ,  Q = H⁻¹ E_aᵀ S⁻¹,  P_a = H⁻¹ − Q E_a H⁻¹
+    z = Bᵀ S⁻¹ Z b,   S = B Bᵀ        a = T (s₁ + ρ₁),   f from z
 
-with H = Aᵀ A (the weights are in A). What remains is a QP in f alone (n_f = 24 or 12):
-
-    min ½ fᵀ F f − (R b)ᵀ f   s.t.  C f ≥ l
-    F = ω_f I + E_fᵀ S⁻¹ E_f,   R b = E_fᵀ S⁻¹ (e − E_a H⁻¹ Aᵀ s)
-
-Its active rows turn into equalities, f becomes linear in b, and a follows. Exact: no term is
-dropped. `docs/maths.md` derives it.
+all linear in b: the rows of A†. S has a row for each row of E, of a swing foot and of C_𝒜, and is
+all there is to factorise. Which rows are active: those of the last state, where that proves to be
+optimal; else a solver finds them, in f alone (n_f = 24 or 12). Exact: no term is dropped.
+`docs/maths.md` derives it.
 """
 
 from __future__ import annotations
@@ -19,11 +17,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri, dtrtrs
 
 from shared.wbc.contacts import ContactMode
-from shared.wbc.qp import QpSolution, QpSolver, QpStatus, QuadraticProgram
+from shared.wbc.least_norm import LeastNorm
+from shared.wbc.qp import QpSolver, QpStatus, QuadraticProgram
 from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
+
+# How clearly a set must be optimal to be taken without asking a solver [N]. Well above the solvers'
+# own tolerances: they would find the same set, so an answer does not depend on the states before.
+_CLEARLY = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,58 +48,69 @@ class Projector:
         return y
 
 
+def condense(stack: Stack, problem: LeastNorm, b: np.ndarray) -> QuadraticProgram:
+    """The QP in f alone, ρ eliminated. Raises `numpy.linalg.LinAlgError` if rows are dependent."""
+    form, rows = stack.least_norm_form, problem.rows
+    B_rho = np.concatenate([rows[:, form.rho_1], rows[:, form.rho_2]], axis=1)
+    right = np.column_stack([rows[:, form.f], rows[:, form.b] @ b])
+    whitened, _ = dtrtrs(_cholesky(B_rho @ B_rho.T), right, lower=1)
+    B_f, e = whitened[:, :-1], whitened[:, -1]
+    F = stack.force_weight * (np.eye(B_f.shape[1]) + B_f.T @ B_f)
+    g = (B_f.T @ e) / -form.force_scale
+    return QuadraticProgram(H=F, g=g, C=stack.contacts.C, l=stack.contacts.l)
+
+
 @dataclass(frozen=True, slots=True)
-class CondensedQp:
-    """The QP in f, and what is needed to go back to a; see the equations above."""
+class HeldRows:
+    """The optimum with some rows of C held at equality, whatever b is.
 
-    problem: QuadraticProgram
-    R: np.ndarray
-    F_inverse: np.ndarray
-    a_from_b: np.ndarray
-    a_from_f: np.ndarray
+    Their multipliers are λ = `multipliers` b, (k, n_rows); `factor` (k, k) is their block of the
+    Cholesky factor of S.
+    """
 
-
-def condense(stack: Stack, matrices: StackMatrices, b: np.ndarray) -> CondensedQp:
-    """Eliminate a. Raises `numpy.linalg.LinAlgError` if the rows are dependent or not finite."""
-    E_a, E_f, A = matrices.E_a, matrices.E_f, matrices.A
-    H_inverse = spd_inverse(A.T @ A)
-    E_H = E_a @ H_inverse
-    S_inverse = spd_inverse(E_H @ E_a.T)
-    Q = E_H.T @ S_inverse
-    P_A = (H_inverse - Q @ E_H) @ A.T
-    # Only the six dynamics rows of E touch f.
-    F_S = E_f.T @ S_inverse[:N_DYNAMICS]
-    F = F_S[:, :N_DYNAMICS] @ E_f
-    F.flat[:: F.shape[0] + 1] += stack.force_weight
-    a_from_f = -Q[:, :N_DYNAMICS] @ E_f
-    a_from_b = np.concatenate([Q, P_A], axis=1)
-    R = np.concatenate([F_S, a_from_f.T @ A.T], axis=1)
-    problem = QuadraticProgram(H=F, g=-(R @ b[:-1]), C=stack.contacts.C, l=stack.contacts.l)
-    return CondensedQp(problem, R, spd_inverse(F), a_from_b, a_from_f)
+    projector: Projector
+    multipliers: np.ndarray
+    factor: np.ndarray
 
 
-def factorise(stack: Stack, condensed: CondensedQp, active: np.ndarray) -> Projector:
-    """A† with the given rows of C held at equality, from the condensed QP at the same state."""
-    n_a, n_f = stack.layout.n_accelerations, stack.layout.n_forces
-    A_dagger = np.empty((stack.layout.n_rows, n_a + n_f)).T
-    f_from_b = A_dagger[n_a:]
-    N = condensed.F_inverse
-    f_from_b[:, -1] = 0.0
+def hold(stack: Stack, problem: LeastNorm, active: np.ndarray) -> HeldRows:
+    """A† with the given rows of C held. Raises `numpy.linalg.LinAlgError` as `condense` does."""
+    form, rows, m = stack.least_norm_form, problem.rows, len(problem.rows)
     if active.size:
-        C_N = stack.contacts.C[active] @ N
-        W_inverse = spd_inverse(C_N @ stack.contacts.C[active].T)
-        f_from_l = C_N.T @ W_inverse
-        N = N - f_from_l @ C_N
-        f_from_b[:, -1] = f_from_l @ stack.contacts.l[active]
-    f_from_b[:, :-1] = N @ condensed.R
-    A_dagger[:n_a] = condensed.a_from_f @ f_from_b
-    A_dagger[:n_a, :-1] += condensed.a_from_b
-    return Projector(mode=stack.mode, A_dagger=np.ascontiguousarray(A_dagger), active=active)
+        rows = np.concatenate([rows, form.friction_rows[active]])
+    B = rows[:, form.z]
+    factor = _cholesky(B @ B.T)
+    multipliers, _ = dpotrs(factor, rows[:, form.b], lower=1)
+    z = B.T @ multipliers
+    n_a, n, n_rows = stack.layout.n_accelerations, stack.layout.n_unknowns, z.shape[1]
+    # s₁ + ρ₁: a one for each determining row.
+    first = stack.equality_rows.stop
+    z.reshape(-1)[first : first + n_a * (n_rows + 1) : n_rows + 1] += 1.0
+    A_dagger = z[:n]
+    A_dagger[:n_a] = problem.T @ A_dagger[:n_a]
+    A_dagger[n_a:] *= form.force_scale
+    return HeldRows(Projector(stack.mode, A_dagger, active), multipliers[m:], factor[m:, m:])
+
+
+def is_optimal(stack: Stack, held: HeldRows, b: np.ndarray) -> bool:
+    """Whether no free row is violated and no held one pulls, clearly so."""
+    contacts, k = stack.contacts, len(held.factor)
+    f = held.projector.A_dagger[stack.layout.n_accelerations :] @ b
+    free = int(np.count_nonzero(contacts.C @ f - contacts.l > _CLEARLY))
+    if free + k < len(contacts.l) or k == 0:
+        return free == len(contacts.l)
+    inverse, _ = dtrtri(held.factor, lower=1)
+    # By so much would each row be violated if it alone were let go: λᵢ over (S⁻¹)ᵢᵢ.
+    released = held.multipliers @ b / np.square(inverse).sum(axis=0)
+    return bool((released > _CLEARLY).all())
 
 
 @dataclass(frozen=True, slots=True)
 class WholeBodySolution:
-    """Outcome of a full solve; `projector` is None unless `status` is SOLVED."""
+    """Outcome of a full solve; `projector` is None unless `status` is SOLVED.
+
+    `iterations` of the solver, 0 if it was not needed.
+    """
 
     status: QpStatus
     projector: Projector | None
@@ -109,18 +123,23 @@ def solve(
     b: np.ndarray,
     *,
     solver: QpSolver,
-    warm_active: np.ndarray | None = None,
+    likely_active: np.ndarray | None = None,
 ) -> WholeBodySolution:
     """Find the optimal active set at one state and the projector of that set.
 
-    Never raises: a problem that cannot be solved comes back with the name of what went wrong.
+    `likely_active`, as of the last state, saves the solver if it proves to be optimal. Never
+    raises: a problem that cannot be solved comes back with the name of what went wrong.
     """
     try:
-        condensed = condense(stack, matrices, b)
-        solution: QpSolution = solver.solve(condensed.problem, warm_active=warm_active)
+        problem = stack.least_norm(matrices)
+        if likely_active is not None:
+            held = hold(stack, problem, likely_active)
+            if is_optimal(stack, held, b):
+                return WholeBodySolution(QpStatus.SOLVED, held.projector, 0)
+        solution = solver.solve(condense(stack, problem, b))
         if solution.status is not QpStatus.SOLVED:
             return WholeBodySolution(solution.status, None, solution.iterations)
-        projector = factorise(stack, condensed, solution.active)
+        projector = hold(stack, problem, solution.active).projector
     except np.linalg.LinAlgError:
         return WholeBodySolution(QpStatus.NOT_FINITE, None, 0)
     return WholeBodySolution(solution.status, projector, solution.iterations)
@@ -151,3 +170,12 @@ def spd_inverse(matrix: np.ndarray) -> np.ndarray:
     inverse.reshape(-1, order="F")[:: matrix.shape[0] + 1] *= 0.5
     whole: np.ndarray = inverse + inverse.T
     return whole
+
+
+def _cholesky(matrix: np.ndarray) -> np.ndarray:
+    # Its transpose, the same, is in the order of LAPACK.
+    factor, info = dpotrf(matrix.T, lower=1, clean=1, overwrite_a=1)
+    if info != 0:
+        raise np.linalg.LinAlgError("not positive definite")
+    lower: np.ndarray = factor
+    return lower

@@ -20,7 +20,13 @@ import numpy as np
 
 from shared.config.settings import WbcConfig
 from shared.robots import Foot, Robot
-from shared.wbc.contacts import ContactGeometry, ContactMode, contact_geometry
+from shared.wbc.contacts import (
+    FORCES_PER_FOOT,
+    ContactGeometry,
+    ContactMode,
+    contact_geometry,
+)
+from shared.wbc.least_norm import LeastNorm, LeastNormForm
 from shared.wbc.model import Jacobians, Kinematics, RowMultipliers, WholeBodyModel
 from shared.wbc.reference import Reference
 from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, SwingFootTask, Task
@@ -126,6 +132,19 @@ class Stack:
             for foot, row in zip(mode.feet, contacts, strict=True)
         ]
         self._rows_of_tasks = [(task, self.layout.slice(task.name)) for task in self.tasks]
+        self.least_norm_form = LeastNormForm(
+            self.contacts,
+            n_equalities=self._n_equalities,
+            n_accelerations=nv,
+            task_weights=np.repeat([t.weight for t in self.tasks], [t.size for t in self.tasks]),
+            force_weight=weights.force,
+        )
+        self._varying_tasks = [
+            (task, sqrt_weight, self._rows_of(task))
+            for task, sqrt_weight, _ in self._weighted_tasks
+            if not task.constant
+        ]
+        self._minus_wrench_maps = [-self.contacts.wrench_map[foot] for foot in mode.feet]
 
     def _constant_task_rows(self) -> np.ndarray:
         """A with zeros where it depends on the configuration, (n_t, nv)."""
@@ -137,6 +156,11 @@ class Stack:
                 for task, sqrt_weight, size in self._weighted_tasks
             ]
         )
+
+    def _rows_of(self, task: Task) -> slice:
+        """Rows of A."""
+        rows = self.layout.slice(task.name)
+        return slice(rows.start - self._n_equalities, rows.stop - self._n_equalities)
 
     def kinematics_at(
         self, y: np.ndarray, *, model: WholeBodyModel, q: np.ndarray, v: np.ndarray
@@ -172,22 +196,19 @@ class Stack:
 
     def matrices(self, jacobians: Jacobians) -> StackMatrices:
         """E_a, E_f and A of Eq. (5) at one configuration."""
-        feet = self.mode.feet
-        E_a = np.concatenate([jacobians.M_unactuated, *(jacobians.J_sole[foot] for foot in feet)])
-        E_f = np.concatenate(
-            [
-                -jacobians.J_sole[foot][:, :N_DYNAMICS].T @ self.contacts.wrench_map[foot]
-                for foot in feet
-            ],
-            axis=1,
-        )
-        A = np.concatenate(
-            [
-                sqrt_weight * task.jacobian(jacobians)
-                for task, sqrt_weight, _ in self._weighted_tasks
-            ]
-        )
-        return StackMatrices(E_a=E_a, E_f=E_f, A=A)
+        soles = [jacobians.J_sole[foot] for foot in self.mode.feet]
+        E_f = np.empty((N_DYNAMICS, self.layout.n_forces))
+        for k, (J, minus_G) in enumerate(zip(soles, self._minus_wrench_maps, strict=True)):
+            forces = slice(k * FORCES_PER_FOOT, (k + 1) * FORCES_PER_FOOT)
+            np.matmul(J[:, :N_DYNAMICS].T, minus_G, out=E_f[:, forces])
+        A = self.constant_task_rows.copy()
+        for task, sqrt_weight, rows in self._varying_tasks:
+            np.multiply(task.jacobian(jacobians), sqrt_weight, out=A[rows])
+        return StackMatrices(np.concatenate([jacobians.M_unactuated, *soles]), E_f, A)
+
+    def least_norm(self, matrices: StackMatrices) -> LeastNorm:
+        """The same QP as a search for the shortest vector, friction rows left out."""
+        return self.least_norm_form.at(matrices.E_a, matrices.E_f, matrices.A)
 
     @property
     def support_foot(self) -> Foot:

@@ -38,6 +38,7 @@ class WholeBodyController:
         self.stacks = make_stacks(robot, config)
         self._motion = motion
         self._solver = make_solver(config.solver)
+        self._last_active: dict[ContactMode, np.ndarray] = {}
 
     def solve(
         self, q: np.ndarray, v: np.ndarray, *, time_ns: int, mode: ContactMode
@@ -47,7 +48,12 @@ class WholeBodyController:
         kinematics = self.model.kinematics(q, v)
         b = stack.right_hand_side(kinematics, self._motion.reference(time_ns))
         matrices = stack.matrices(self.model.jacobians(q))
-        return solve(stack, matrices, b, solver=self._solver), b
+        solution = solve(
+            stack, matrices, b, solver=self._solver, likely_active=self._last_active.get(mode)
+        )
+        if solution.projector is not None:
+            self._last_active[mode] = solution.projector.active
+        return solution, b
 
     def factorise(
         self, q: np.ndarray, modes: tuple[ContactMode, ...], *, damping: float

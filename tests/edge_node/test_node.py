@@ -130,6 +130,30 @@ def test_a_solution_does_not_depend_on_the_states_before(robot, config, motion, 
     assert fresh.step().data == used.step().data
 
 
+@pytest.mark.parametrize("solver", ["daqp", "proxsuite"])
+def test_a_solver_is_asked_where_the_last_active_set_is_not_the_optimal_one(
+    robot, motion, configured, states, solver
+):
+    config = configured(**{"wbc.solver": solver})
+    codec, used = Codec(robot, config, motion), EdgeNode(robot, config, motion)
+    asked = []
+    for k, (q, v) in enumerate(states[:12]):
+        for again in range(2):
+            data = codec.encode_state(make_state(robot, sequence=2 * k + again, q=q, v=v))
+            fresh = EdgeNode(robot, config, motion)
+            for edge in (fresh, used):
+                edge.receive(data)
+            answer, expected = used.step(), fresh.step()
+            assert answer is not None
+            assert expected is not None
+            assert answer.data == expected.data
+            assert expected.solution.iterations > 0
+            asked.append(answer.solution.iterations > 0)
+    # The same state again never takes one; the next, which is unlike it, does.
+    assert not any(asked[1::2])
+    assert all(asked[0::2])
+
+
 def damaged(data):
     """One message for each way of being wrong, by the reason it must be counted under."""
 
