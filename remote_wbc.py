@@ -1,7 +1,7 @@
-"""The command `wbc`, and the beginning of every command: `begin(__name__)`, before other imports.
+"""The command `wbc`, and the start of every command: `begin(__name__)` before other imports.
 
-This module is at the top because its name is the project's own: a folder `shared` or `deploy` of
-the caller's, or one in PYTHONPATH, may hide ours until `begin` has returned.
+This module is at the top level because no other program uses its name. A folder `shared` or
+`deploy` in the caller's folder or in PYTHONPATH may hide the project's until `begin` has returned.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 _DESCRIPTION = (
     "Whole-body control from the edge, over a link that stalls. Each command has a --help; "
-    "./deploy/… and python -m … are other ways to say the same."
+    "./deploy/… and python -m … are other forms of the same commands."
 )
 
 
 def begin(name: str) -> None:
     """Make this process independent of its caller's environment, if `name` is `__main__`.
 
-    Python starts again in isolated mode (`-I`) if it is not in it: without the current folder,
-    PYTHONPATH and other PYTHON… variables, and the user's own packages. Then
+    If Python is not in isolated mode (`-I`), it starts again in it: without the current folder,
+    PYTHONPATH and other PYTHON… variables, and the user's own packages. Then this calls
     `shared.process.entry.enter`.
     """
     if name != "__main__":
         return
     if not sys.flags.isolated:
-        # The first place is the current folder's.
+        # The first entry of sys.path is the current folder.
         if os.path.dirname(os.path.abspath(__file__)) not in sys.path[1:]:
             sys.exit(_not_installed())
-        # A Ctrl-C that comes while Python starts is kept until it can be answered.
+        # A Ctrl-C while Python starts is held back until `enter` handles it.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         os.execv(sys.executable, [sys.executable, "-I", *sys.orig_argv[1:]])
     from shared.process.entry import enter
@@ -46,15 +46,15 @@ def begin(name: str) -> None:
 
 def _not_installed() -> int:
     print(
-        f"error: expected a Python that this project is installed in, got {sys.executable}; "
-        "./deploy/setup installs it into .venv: use .venv/bin/python",
+        f"error: expected a Python in which this project is installed, got {sys.executable}; "
+        "run ./deploy/setup and use .venv/bin/python",
         file=sys.stderr,
     )
     return 2
 
 
 def main() -> NoReturn:
-    """The command `wbc`."""
+    """Run the command `wbc`."""
     begin("__main__")
     from shared.process.cli import run, run_command
 
@@ -64,13 +64,13 @@ def main() -> NoReturn:
 def add_completion_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("shell", choices=("bash", "zsh"))
     parser.description = (
-        'Print what completes wbc in a shell: eval "$(wbc completion bash)" in ~/.bashrc, or '
-        "wbc completion zsh > _wbc in a folder of $fpath."
+        'Print a completion script: eval "$(wbc completion bash)" in ~/.bashrc, or wbc completion '
+        "zsh > _wbc in a folder of $fpath."
     )
 
 
 def run_completion(arguments: argparse.Namespace) -> int:
-    """Print the script; 0."""
+    """Print the completion script. Return 0."""
     import shtab
 
     from shared.process.cli import command_parser
@@ -82,7 +82,7 @@ def run_completion(arguments: argparse.Namespace) -> int:
 
 
 def commands() -> list[Subcommand | Group]:
-    """Everything that `wbc` can do."""
+    """Return every command and group of commands of `wbc`."""
     from benchmarks.__main__ import COMMANDS as BENCHMARKS
     from deploy.__main__ import COMMANDS as DEPLOY
     from experiments.__main__ import COMMANDS as EXPERIMENTS
@@ -94,7 +94,7 @@ def commands() -> list[Subcommand | Group]:
         *DEPLOY,
         *EXPERIMENTS,
         Group("netem", "the emulated link: profiles, importers, the shim", NETEM),
-        Group("viewer", "watch a run, or runs that are over", VIEWER),
+        Group("viewer", "watch a run, or look at finished runs", VIEWER),
         Group("bench", "speed and exactness on this machine", BENCHMARKS),
         Subcommand("completion", "completion for bash or zsh", "remote_wbc"),
     ]

@@ -11,10 +11,10 @@ from shared.process.cli import Subcommand, run, run_command
 _CONTROL = "deploy.background.control"
 COMMANDS = (
     Subcommand("up", "start the stack and wait for its end", "deploy.up"),
-    Subcommand("ps", "what runs in the background, or how it ended", _CONTROL),
-    Subcommand("logs", "what the services have said", _CONTROL),
+    Subcommand("ps", "show the stacks in the background, or how the last one ended", _CONTROL),
+    Subcommand("logs", "print the output of the services", _CONTROL),
     Subcommand("restart", "end one service and start it again", _CONTROL),
-    Subcommand("down", "end everything that runs in the background", _CONTROL),
+    Subcommand("down", "end every stack in the background", _CONTROL),
     Subcommand("keys", "make certificates for connections between machines", "deploy.keys"),
 )
 

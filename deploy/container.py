@@ -1,8 +1,8 @@
-"""One service of `services.toml` as the main process of a container: see `compose.yaml`.
+"""Run one service of `services.toml` as the main process of a container: see `compose.yaml`.
 
-`python -m deploy.container SERVICE [its arguments]`. The file `/tmp/ready`, or another that
---ready-file names, is there once the service is ready. What becomes of it when it ends is up to
-Docker.
+`python -m deploy.container SERVICE [arguments of the service]`. When the service is ready, the file
+`/tmp/ready` is created, or the file that --ready-file names. Docker decides whether a service that
+has ended is started again.
 """
 
 from __future__ import annotations
@@ -31,10 +31,14 @@ def main() -> int:
     services = load_services()
     parser = Parser(prog=python_module("deploy.container"), description=__doc__)
     parser.add_argument(
-        "--ready-file", metavar="FILE", type=Path, default=READY_FILE, help="(default %(default)s)"
+        "--ready-file",
+        metavar="FILE",
+        type=Path,
+        default=READY_FILE,
+        help="file to create when the service is ready (default %(default)s)",
     )
     parser.add_argument("service", choices=services)
-    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="of the service")
+    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="arguments of the service")
     arguments = parser.parse_args()
     service = services[arguments.service]
     arguments.ready_file.unlink(missing_ok=True)
@@ -42,7 +46,7 @@ def main() -> int:
 
 
 async def _serve(service: Service, arguments: list[str], ready_file: Path) -> int:
-    """Until the service or a signal ends it; the exit code of the service."""
+    """Run the service until it ends or a signal arrives. Return its exit code."""
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
@@ -78,7 +82,7 @@ async def _play(supervisor: Supervisor, launch: Launch, ready_file: Path) -> int
 
 
 def _code(code: int) -> int:
-    """An exit code; of a process that a signal has killed as Docker has it."""
+    """Return an exit code in Docker's form: 128 + n for a process that signal n has killed."""
     return code if code >= 0 else 128 - code
 
 

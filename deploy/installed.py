@@ -1,6 +1,7 @@
-"""Whether this Python has what a lock file names: `python -m deploy.installed requirements.lock`.
+"""Check that this Python has the packages of a lock file.
 
-pip may have been told, by a file of the user's own, to put packages elsewhere.
+`python -m deploy.installed requirements.lock`. A pip.conf of the user may have made pip install
+packages elsewhere.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ _PIN = re.compile(r"^([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^ ;\\]+)(?: *; *([^\\]*)
 
 
 def missing(lock: str) -> list[str]:
-    """What of a lock file's text is not installed in this environment, in words."""
+    """Return the packages of a lock file's text that this environment lacks.
+
+    Each is `NAME VERSION (VERSION FOUND)`.
+    """
     folder = sysconfig.get_path("purelib")
     found = {
         _normal(each.metadata["Name"]): each.version
@@ -41,8 +45,9 @@ def main() -> int:
         return 0
     shown = ", ".join(wrong[:3]) + (f" and {len(wrong) - 3} more" if len(wrong) > 3 else "")
     print(
-        f"setup: expected in {sys.prefix} what {sys.argv[1]} names, got others: {shown}; does a "
-        "pip.conf send packages elsewhere (pip config list)? Remove .venv and run it again",
+        f"setup: expected the packages of {sys.argv[1]} in {sys.prefix}, got others: {shown}; "
+        "check that no pip.conf sends packages elsewhere (pip config list), remove .venv and run "
+        "./deploy/setup again",
         file=sys.stderr,
     )
     return 2

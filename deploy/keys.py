@@ -1,7 +1,7 @@
-"""Certificates for mutual TLS: an authority of your own and one certificate per role.
+"""Make certificates for mutual TLS: your own authority, and one certificate for each role.
 
-Roles: edge, netem, router, and one per robot. The authority's key, ca.key, signs new ones and is
-needed nowhere else.
+The roles are edge, netem, router, and one for each robot. The authority's key, ca.key, signs new
+certificates. No other machine needs it.
 """
 
 from __future__ import annotations
@@ -44,22 +44,22 @@ _HOST = re.compile(
 
 @dataclass(frozen=True)
 class Signer:
-    """A certificate and its private key: those of the authority sign others."""
+    """A certificate and its private key. The authority's pair signs other certificates."""
 
     certificate: x509.Certificate
     key: ec.EllipticCurvePrivateKey
 
 
 def add_keys_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `keys`."""
+    """Add the options of `keys`."""
     parser.description = __doc__
-    parser.add_argument("folder", metavar="DIR", type=Path, help="where the files go")
+    parser.add_argument("folder", metavar="DIR", type=Path, help="folder for the files")
     parser.add_argument(
         "--robot",
         metavar="NAME",
         nargs="+",
         action="extend",
-        help=f"robots by their names on the link (default {RobotConfig.name})",
+        help=f"names of the robots on the link (default {RobotConfig.name})",
     )
     parser.add_argument(
         "--host",
@@ -67,12 +67,12 @@ def add_keys_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         default=[],
-        help="how other machines call those that edge, netem and router listen on",
+        help="names or addresses at which other machines reach edge, netem and router",
     )
     parser.add_argument(
         "--add",
         action="store_true",
-        help="with the authority that is in DIR, make what is missing; nothing is replaced",
+        help="make the missing certificates with the authority in DIR; replace nothing",
     )
 
 
@@ -92,10 +92,11 @@ def make(
     add: bool = False,
     now: datetime | None = None,
 ) -> list[str]:
-    """Make the authority and a certificate for every role; the roles made, in order.
+    """Make the authority and a certificate for every role. Return the roles made, in order.
 
-    With `add`, the authority is the one in the folder and roles that have a file are left alone.
-    `ConfigError` before anything is written if a name is bad or a file would be overwritten.
+    With `add`, the authority in the folder signs, and a role that has a file already is skipped.
+    Raise `ConfigError` before anything is written if a name is invalid or a file would be
+    overwritten.
     """
     names = [*THIS_MACHINE, *(_checked_host(host) for host in hosts)]
     roles = [*LISTENERS, *(robot_role(robot) for robot in robots)]
@@ -106,8 +107,9 @@ def make(
         roles = [role for role in roles if role not in there]
         if not roles:
             raise ConfigError(
-                f"keys: {folder} has certificates of {', '.join(there)} already; remove the files "
-                "of a role to have them made anew, or name another --robot"
+                f"keys: expected a role without certificates, {folder} has those of "
+                f"{', '.join(there)}; remove a role's files to make them again, or name another "
+                "--robot"
             )
     else:
         taken = [
@@ -117,7 +119,7 @@ def make(
         if taken:
             raise ConfigError(
                 f"keys: expected a folder without certificates, {folder} has {taken[0].name}; name "
-                "another folder, or --add to make what is missing with the authority that is there"
+                "another folder, or use --add to make the missing certificates with its authority"
             )
         authority = _new_authority(now)
         _write(folder, AUTHORITY, authority)
@@ -128,7 +130,7 @@ def make(
 
 def _new_authority(now: datetime) -> Signer:
     key = ec.generate_private_key(ec.SECP256R1())
-    # A name of its own, so that two authorities are not taken for each other.
+    # A random name, so that two authorities are not taken for each other.
     name = _name(f"remote-wbc {secrets.token_hex(4)}")
     builder = (
         _builder(name, name, key, now, days=_AUTHORITY_DAYS)
@@ -170,7 +172,7 @@ def _builder(
     *,
     days: int,
 ) -> x509.CertificateBuilder:
-    # Begun a day ago: clocks of robots are wrong now and then.
+    # Valid from yesterday on, because a robot's clock may be behind.
     begin = now - timedelta(days=1)
     return (
         x509.CertificateBuilder()
@@ -234,16 +236,18 @@ def _load_authority(folder: Path) -> Signer:
         signer = x509.load_pem_x509_certificate(certificate.read_bytes())
     except OSError as error:
         raise ConfigError(
-            f"keys: cannot read {error.filename}: {error.strerror}; --add needs the folder where "
-            "the authority was made; leave it out to make one"
+            f"keys: cannot read {error.filename}: {error.strerror}; --add needs the folder of an "
+            "authority; leave --add out to make a new authority"
         ) from None
     except (ValueError, TypeError):
         raise ConfigError(
-            f"keys: {certificate} and {key} are not a certificate and its key"
+            f"keys: expected a certificate and its key in PEM, got {certificate} and {key}; "
+            "name the folder of an authority"
         ) from None
     if not isinstance(loaded, ec.EllipticCurvePrivateKey):
         raise ConfigError(
-            f"keys: {key} was not made by deploy/keys, expected an elliptic-curve key"
+            f"keys: expected an elliptic-curve key, got another kind in {key}; name the folder of "
+            "an authority that deploy/keys made"
         )
     return Signer(signer, loaded)
 
@@ -264,13 +268,13 @@ def _write(folder: Path, role: str, made: Signer) -> None:
 
 
 def _create(path: Path, data: bytes, *, mode: int) -> None:
-    """Write a file that is not there yet, with these permissions from its first moment."""
+    """Create a file that does not exist yet, with the permissions `mode` from the start."""
     with os.fdopen(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode), "wb") as file:
         file.write(data)
 
 
 def _in_words(folder: Path, roles: Sequence[str], *, hosts: Sequence[str]) -> str:
-    """What was made, and what belongs on which machine."""
+    """Return text: the files made, and the machine to which each one belongs."""
     ends = datetime.now(timezone.utc) + timedelta(days=_DAYS)
     lines = [f"made in {folder}, valid until {ends:%Y-%m-%d}:"]
     for role in roles:
@@ -282,10 +286,10 @@ def _in_words(folder: Path, roles: Sequence[str], *, hosts: Sequence[str]) -> st
         also = " and every robot-*.crt" if role == ROUTER else ""
         lines.append(f"  {role}: copy ca.crt, {role}.crt, {role}.key{also} to {where}")
     lines.append(
-        f"  keep {key_file(folder, AUTHORITY)} off all of them: it makes valid certificates"
+        f"  copy {key_file(folder, AUTHORITY)} to none of them: it signs valid certificates"
     )
     if not hosts:
         lines.append(
-            "  good on this machine only: give the edge's (or router's) name or address with --host"
+            "  valid on this machine only: give the edge's or router's name or address with --host"
         )
     return "\n".join(lines)

@@ -1,7 +1,7 @@
-"""What a run came to, from the files its services left: the summary and the recording.
+"""The summary and the recording of a run, made from the files of its services.
 
-A service that was started again has left files of each of its lives, the earlier ones numbered;
-they count together. A life that was killed leaves none.
+A service that was started again has left files of each of its lives. Earlier lives are numbered,
+and all lives count together. A life that was killed leaves no report.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from shared.telemetry.parquet import read_parquet
 
 SUMMARY = "summary.json"
 _ROBOT, _EDGE, _LINK = "telemetry", "edge", "link"
-# An hour of all that a tick has would not fit into memory.
+# Only these columns are read: all columns of an hour do not fit into memory.
 _COMPARED = ("tick", "time_ns", "active_set", "com_error_m", "contact_violation_m_s2")
 
 
 def keep_report(run: Path, stem: str) -> None:
-    """Number a life's files, so that the next one does not replace them."""
+    """Number the files of a service's life, so that its next life does not replace them."""
     if not stem or not (run / f"{stem}.json").exists():
         return
     number = 1 + len(list(run.glob(f"{stem}.*.json")))
@@ -36,7 +36,10 @@ def keep_report(run: Path, stem: str) -> None:
 
 
 def summarise(run: Path, config: RunConfig) -> dict[str, Any] | None:
-    """The summary, also written to `summary.json` in place of the parts; None without a robot's."""
+    """Return the summary, and write it to `summary.json` in place of the services' reports.
+
+    Return None if the robot left no report.
+    """
     robot = _report(run / f"{_ROBOT}.json")
     if robot is None:
         return None
@@ -56,7 +59,7 @@ def summarise(run: Path, config: RunConfig) -> dict[str, Any] | None:
 
 
 def record(run: Path, say: Callable[[str], None]) -> None:
-    """The recording of a run that nobody watched throughout, made from its files."""
+    """Make the recording of a run from its files, if no viewer recorded the whole run."""
     command = python("-m", "viewer", "record", str(run))
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     for line in (done.stdout + done.stderr).splitlines():
@@ -64,7 +67,7 @@ def record(run: Path, say: Callable[[str], None]) -> None:
 
 
 def _lives(run: Path, stem: str) -> list[Path]:
-    """A service's reports, that of the earliest life first."""
+    """Return the report files of a service, the earliest life first."""
     last = run / f"{stem}.json"
     numbered = sorted(run.glob(f"{stem}.*.json"), key=lambda file: int(file.suffixes[-2][1:]))
     return [*numbered, *([last] if last.exists() else [])]
@@ -73,7 +76,7 @@ def _lives(run: Path, stem: str) -> list[Path]:
 def _whole(
     run: Path, stem: str, again: Callable[[np.ndarray, list[dict[str, Any]]], dict[str, Any]]
 ) -> dict[str, Any] | None:
-    """The report of all lives together, made `again` if there were several."""
+    """Return one report of all lives; `again` makes it from their rows if there are several."""
     found = [_report(file) for file in _lives(run, stem)]
     reports = [report for report in found if report is not None]
     if len(reports) > 1:
@@ -82,7 +85,7 @@ def _whole(
 
 
 def _rows(run: Path, stem: str) -> np.ndarray:
-    """Of the lives that have a report: a table without one was not written to its end."""
+    """Return the rows of the lives that have a report. A table without one is incomplete."""
     tables = [file.with_suffix(".parquet") for file in _lives(run, stem)]
     return np.concatenate([read_parquet(table)[1] for table in tables])
 
@@ -112,7 +115,7 @@ def _added(counts: Iterable[dict[str, int]]) -> dict[str, int]:
 
 
 def _discrepancy(run: Path) -> dict[str, Any] | None:
-    """The report of the active set; of the ticks whose state the edge has solved."""
+    """Return the report of the active set, from the ticks whose state the edge has solved."""
     if not _lives(run, _EDGE):
         return None
     schema, rows = read_parquet(run / f"{_ROBOT}.parquet", columns=_COMPARED)

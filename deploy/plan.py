@@ -1,9 +1,9 @@
-"""Which services to start, and who dials whom: from the options to a list, nothing is started.
+"""Plan which services to start, and which one dials which. Nothing is started here.
 
-What the services are is in `services.toml`; how they are joined is here. From the edge to the robot
-they are a chain, `edge ← router ← netem ← robot`; each dials the nearest one that is there, here or
-on another machine. The last of those here, unless it is the robot, listens for the machine where
-the chain goes on. The edge itself dials a router.
+`services.toml` declares the services; this module joins them. From the edge to the robot they form
+a chain, `edge ← router ← netem ← robot`. Each service dials the nearest one to its left, on this
+machine or on another. The last service on this machine listens for the machine where the chain
+goes on, unless it is the robot. The edge itself dials a router.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ _CHAIN = (EDGE, ROUTER, NETEM, ROBOT)
 
 @dataclass(frozen=True)
 class Options:
-    """The flags that say what runs here and where the rest is: `edge`, `router` and `listen` are
-    endpoints, `secure` is the folder of certificates.
+    """The flags that say which services run here and where the others are.
+
+    `edge`, `router` and `listen` are endpoints; `secure` is the folder of certificates.
     """
 
     only: str | None = None
@@ -36,7 +37,7 @@ class Options:
 
 @dataclass(frozen=True)
 class PlannedService:
-    """A service to start as `python -m` these arguments, without the flags that it `takes`."""
+    """A service, and its `arguments` for `python -m` without the flags that it `takes`."""
 
     service: Service
     arguments: tuple[str, ...]
@@ -48,9 +49,9 @@ class PlannedService:
 
 @dataclass(frozen=True)
 class Plan:
-    """Services in the order of starting, their certificates, and what a person should know.
+    """The services in starting order, the folder of certificates, and notes for the user.
 
-    `opens` is where one of them listens for other machines, if one does.
+    `opens` is the endpoint on which the last service of the chain listens; None if it does not.
     """
 
     steps: tuple[PlannedService, ...]
@@ -60,18 +61,21 @@ class Plan:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the services."""
+        """The names of the services."""
         return tuple(step.name for step in self.steps)
 
     def has(self, name: str) -> bool:
-        """Whether a service is among them."""
+        """Return whether the plan has a service of this name."""
         return name in self.names
 
 
 def services_of(
     declared: dict[str, Service], only: str | None, *, direct: bool
 ) -> tuple[Service, ...]:
-    """Those that `--only` names; without it those that run by default, but a direct link's shim."""
+    """Return the services that `--only` names; without it, the default ones.
+
+    A direct link needs no shim, so netem is then no default service.
+    """
     if only is None:
         return tuple(
             service
@@ -82,7 +86,7 @@ def services_of(
     for name in names:
         if name not in declared:
             raise ConfigError(
-                f"only: expected some of {', '.join(declared)}, with commas, got {name!r}"
+                f"only: expected some of {', '.join(declared)}, separated by commas, got {name!r}"
             )
     if VIEWER in names and ROBOT not in names:
         raise ConfigError("only: the viewer shows the robot of this machine; name both or neither")
@@ -96,8 +100,9 @@ def services_of(
 def make_plan(
     options: Options, services: tuple[Service, ...], *, view: str, free_port: Callable[[], int]
 ) -> Plan:
-    """The plan for these services; `view` is `off` for no viewer. `ConfigError`, `LinkError` if
-    the endpoints do not fit the services or the certificates.
+    """Return the plan for these services; `view` is `off` for no viewer.
+
+    Raise `ConfigError` or `LinkError` if the endpoints do not fit the services or the certificates.
     """
     chosen = {service.name: service for service in services}
     _check_who_dials(options, chosen)
@@ -137,7 +142,7 @@ def make_plan(
 
 
 def check_credentials(plan: Plan, *, robot: str) -> None:
-    """Every service of the plan finds its certificate; `ConfigError` if not."""
+    """Check that every service of the plan finds its certificate; raise `ConfigError` if not."""
     own_role = robot_role(robot)
     if plan.secure is None:
         return
@@ -155,16 +160,16 @@ def _check_who_dials(options: Options, services: Collection[str]) -> None:
         if EDGE in services or ROUTER in services:
             raise ConfigError(
                 f"edge: {EDGE if EDGE in services else ROUTER} is started here, so nothing dials "
-                f"{options.edge}; say what is to run here, as in --only robot,viewer"
+                f"{options.edge}; name the services of this machine, as in --only robot,viewer"
             )
     elif options.router is not None:
         if ROUTER in services:
             raise ConfigError(
-                "router: expected one here (--only …) or elsewhere (--router), got both"
+                "router: expected a router here (--only …) or elsewhere (--router), got both"
             )
     elif dials and EDGE not in services and ROUTER not in services:
         raise ConfigError(
-            f"edge: {dials[-1]} needs one; add edge to --only, or say where it is, as in "
+            f"edge: {dials[-1]} needs an edge; add edge to --only, or give its endpoint, as in "
             "--edge tls/HOST:7460"
         )
 
@@ -172,7 +177,10 @@ def _check_who_dials(options: Options, services: Collection[str]) -> None:
 def _listening(
     options: Options, here: list[Service], *, secured: bool, free_port: Callable[[], int]
 ) -> dict[str, Endpoint]:
-    """Where each service listens; those between two services of this machine on loopback."""
+    """Return the endpoint of each service that listens.
+
+    Between two services of this machine it is on loopback.
+    """
     protocol = "tls" if secured else "tcp"
     edge_dials = options.router is not None or any(each.name == ROUTER for each in here)
     listens = {}
@@ -185,13 +193,13 @@ def _listening(
         elif options.listen is not None:
             listens[name] = parse_endpoint(options.listen, secured=secured)
         else:
-            # Without certificates, nobody else is let in unless that is asked for.
+            # Without certificates, only this machine has access unless --listen says otherwise.
             host = "0.0.0.0" if secured else "127.0.0.1"
             listens[name] = Endpoint(protocol, host, service.port)
     if options.listen is not None and here[-1].name not in listens:
         raise ConfigError(
-            f"listen: expected none, as {here[-1].name} dials and nothing here is dialled from "
-            "elsewhere"
+            f"listen: expected no --listen, because {here[-1].name} dials and no service here "
+            "waits for another machine; leave it out"
         )
     return listens
 
@@ -205,10 +213,10 @@ def _note_on_listening(service: Service, endpoint: Endpoint) -> str:
             f"--listen tls/0.0.0.0:{port} (see docs/real-network.md)"
         )
     if endpoint.secured:
-        return f"{name} listens on {endpoint}, for those with a certificate"
+        return f"{name} listens on {endpoint}, for machines with a certificate"
     return (
-        f"{name} listens on {endpoint}, UNPROTECTED: whoever reaches this port can move the robot; "
-        "on any network but your own use tls (see docs/real-network.md)"
+        f"{name} listens on {endpoint}, UNPROTECTED: anyone who reaches this port can move the "
+        "robot; on any network but your own use tls (see docs/real-network.md)"
     )
 
 
@@ -216,6 +224,6 @@ def _notes_on_dialling(endpoint: Endpoint) -> list[str]:
     if endpoint.secured or endpoint.on_loopback:
         return []
     return [
-        f"{endpoint} is UNPROTECTED: whoever is on the way can move the robot; on any network but "
+        f"{endpoint} is UNPROTECTED: any machine on the way can move the robot; on any network but "
         "your own use tls (see docs/real-network.md)"
     ]

@@ -1,4 +1,4 @@
-"""A process with a group of its own, which ends when whoever started it does."""
+"""A child process with a process group, which is told to end when its parent ends."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from asyncio.subprocess import Process
 from collections.abc import Sequence
 
 _PR_SET_PDEATHSIG = 1
-# Loaded here: between fork and exec another thread may hold the loader's lock for ever.
+# Loaded before any fork: after it, another thread may hold the loader's lock for ever.
 _LIBC = ctypes.CDLL(None)
 
 
 async def start_process(command: Sequence[str], *, held: bool = False) -> Process:
-    """Start it without input; both its outputs are its `stdout`.
+    """Start a process without input. Its standard error goes to its `stdout` too.
 
-    With `held` its input ends when `stdin` is closed.
+    With `held` it has an input, which ends when `stdin` is closed.
     """
     return await asyncio.create_subprocess_exec(
         *command,
@@ -32,14 +32,15 @@ async def start_process(command: Sequence[str], *, held: bool = False) -> Proces
 
 
 def terminate(process: Process) -> None:
-    """Tell it and its group to end, if it has not."""
+    """Send SIGTERM to a process and its group, unless the process has ended."""
     if process.returncode is None:
         _signal_group(process, signal.SIGTERM)
 
 
 def kill_group(process: Process) -> None:
-    """Kill it and what it has left behind in its group. Soon after its end, if it has ended: later
-    its number may be another's.
+    """Kill a process and all processes of its group.
+
+    If the process has ended, call this at once: later its number may belong to another process.
     """
     _signal_group(process, signal.SIGKILL)
 

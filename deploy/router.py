@@ -1,7 +1,8 @@
-"""A router: robots and edges behind NATs dial it, and it carries what each may send to the other.
+"""Run a router: robots and edges behind NATs dial it, and it carries messages between them.
 
-`python -m deploy.router --listen tls/0.0.0.0:7447 --secure`. It looks at keys, never into messages.
-With certificates it admits the robots whose certificate, robot-NAME.crt, lies in its folder.
+`python -m deploy.router --listen tls/0.0.0.0:7447 --secure`. The router carries only messages with
+a key that the sender may use; it never reads a message. With certificates it admits the robots
+whose certificate, robot-NAME.crt, is in its folder.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ begin(__name__)
 
 import os
 
-# The thread that receives waits for one that sends while a queue is full: not the same one, as the
-# nodes have it. Before zenoh is imported.
+# While a queue is full, the receiving thread waits for a sending thread. So a router cannot do with
+# the nodes' single thread. Zenoh reads this variable when it is imported.
 os.environ.pop("ZENOH_RUNTIME", None)
 
 import time
@@ -32,7 +33,10 @@ _POLL_SECONDS = 0.1
 def main() -> int:
     parser = Parser(prog=python_module("deploy.router"), description=__doc__)
     parser.add_argument(
-        "--listen", metavar="ENDPOINT", default=_ENDPOINT, help="(default %(default)s)"
+        "--listen",
+        metavar="ENDPOINT",
+        default=_ENDPOINT,
+        help="endpoint to listen on (default %(default)s)",
     )
     add_secure_argument(parser)
     arguments = parser.parse_args()
@@ -40,7 +44,7 @@ def main() -> int:
     admits = "everybody"
     if arguments.secure is not None:
         credentials = Credentials.load(arguments.secure, ROUTER)
-        admits = ", ".join(credentials.robots) or "no robot: put their certificates into its folder"
+        admits = ", ".join(credentials.robots) or "no robot: copy certificates into its folder"
     stop = StopSignal()
     bus = ZenohBus(
         listen=[arguments.listen],

@@ -1,20 +1,20 @@
-"""The services of the stack, as `services.toml` declares them; nothing is started here.
+"""The services of the stack, as `services.toml` declares them. Nothing is started here.
 
-Keys of a service; those it leaves out are in the table [defaults]:
+The keys of a service. The table [defaults] has a value for a key that a service leaves out:
 
-    command         arguments of `python -m`
-    after           services that have to be ready before it starts, where they run here too
-    takes           flags it is given: config, telemetry, out, name, secure; held: it loads at once,
-                    and then waits until what it comes `after` is ready
-    report          stem of the files it leaves in the run's folder, if any
-    port            where it listens for other machines unless --listen says otherwise; 0: nowhere
-    by_default      whether it runs without being named in --only
-    ready           what its line begins with once it can be used
-    ready_seconds   how long that may take, beyond what it may wait for a connection
-    stop_seconds    how long it may take to end before it is killed
-    restart         no, or on-failure:N: started again up to N times when it ends with an error
-    end             of the process: outcome, the run is over and has its exit code; failure, the run
-                    has failed; ignored, the run goes on
+    command         Arguments of `python -m`.
+    after           Services that have to be ready first, if they run on this machine too.
+    takes           Flags that it gets: config, telemetry, out, name, secure, held. With held, it
+                    loads at once, and then waits until the services of `after` are ready.
+    report          Stem of its files in the run's folder; empty: no files.
+    port            Port for other machines, unless --listen gives another; 0: none.
+    by_default      Whether it runs without --only.
+    ready           Beginning of the line that it prints when it can be used.
+    ready_seconds   Time until that line, beyond the time it may wait for a connection.
+    stop_seconds    Time from the signal to end until it is killed.
+    restart         no, or on-failure:N: it is started again up to N times after an error.
+    end             The meaning of its end. outcome: the run is over and has its exit code.
+                    failure: the run has failed. ignored: the run goes on.
 """
 
 from __future__ import annotations
@@ -54,13 +54,16 @@ class Service:
 
     @property
     def restarts_at_most(self) -> int:
-        """How often it is started again by itself."""
+        """The maximum number of automatic restarts."""
         match = _RESTART.fullmatch(self.restart)
         return int(match[1]) if match is not None and match[1] else 0
 
 
 def load_services(path: Path = FILE) -> dict[str, Service]:
-    """The services by name, in the order of the file. `ConfigError` says what cannot be used."""
+    """Return the services by name, in the order of the file.
+
+    Raise `ConfigError` if a key or a value cannot be used.
+    """
     tables = read_toml(path, what="services")
     defaults = tables.pop("defaults", {})
     services = {name: _service(name, defaults, table) for name, table in tables.items()}
@@ -72,7 +75,7 @@ def load_services(path: Path = FILE) -> dict[str, Service]:
 
 
 def starting_order(services: dict[str, Service]) -> tuple[str, ...]:
-    """Names so that each comes after those of them it waits for, else in the order given."""
+    """Return the names, each after the services it waits for, otherwise in the order given."""
     order: list[str] = []
     while len(order) < len(services):
         free = [

@@ -1,4 +1,4 @@
-"""One run of the services in a plan: started in order, watched, ended together, summed up."""
+"""Run the services of a plan: start them in order, watch them, end them together, sum up."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ _STATUS_SECONDS = 0.1
 
 @dataclass(frozen=True)
 class Run:
-    """What is to run, and the folder `out` for its files.
+    """The settings and the plan of a run, and the folder `out` for its files.
 
-    `name` of the robot on the link, if it is not that of its kind. `ready_fd`: in the background,
-    telling there when it is ready.
+    `name` is the robot's name on the link, None for the name of its kind. `ready_fd` is set in the
+    background: the descriptor on which the run reports that it is ready.
     """
 
     config: RunConfig
@@ -73,10 +73,10 @@ class StackRun:
         )
         self._watched = run.plan.has(VIEWER)
         self._restarted: list[str] = []
-        # Of the terminal of whoever has started us in the background.
+        # In the background: whether the terminal of the parent process is released.
         self._let_go = False
         self._stop = asyncio.Event()
-        # Without a robot here nothing comes to an end by itself: to be stopped is no failure.
+        # Without a robot here the run never ends by itself, so a signal is its normal end.
         self._stopped_code = EXIT_INTERRUPTED if run.plan.has(ROBOT) else EXIT_STANDING
         self._state = StackState(
             pid=os.getpid(),
@@ -87,10 +87,10 @@ class StackRun:
         )
 
     async def run(self) -> int:
-        """Until the robot has finished, a service has ended, or a signal; the exit code."""
+        """Run until the robot finishes, a service ends or a signal arrives; return the code."""
         loop = asyncio.get_running_loop()
         ending = [signal.SIGINT, signal.SIGTERM]
-        # Under nohup the end of the terminal is nothing to us.
+        # Under nohup the run outlives its terminal.
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             ending.append(signal.SIGHUP)
         for number in ending:
@@ -121,18 +121,21 @@ class StackRun:
 
     @contextlib.contextmanager
     def _claimed(self) -> Iterator[None]:
-        """The stack's folder is ours, and says how we ended; in the background, also where."""
+        """Hold the stack's folder, and record there how the run ends.
+
+        In the background, also add the folder to the registry.
+        """
         with self._folder.claim(), LineFile(self._folder.log) as log:
             self._terminal = Terminal(copy=log)
             self._put(STARTING)
-            ended = {"outcome": "it was killed by an error of its own", "exit_code": EXIT_ERROR}
+            ended = {"outcome": "an unexpected error ended it", "exit_code": EXIT_ERROR}
             try:
                 if self._run.ready_fd is not None:
                     Registry().add(self._out, robot=self._state.robot, services=self._state.named)
                 yield
                 ended = {}
             except UserError as error:
-                # Standard error is the log itself by then.
+                # Once the terminal is released, standard error is the log itself.
                 if not self._let_go:
                     self._terminal.note(f"error: {error}")
                 ended = {"outcome": str(error), "exit_code": EXIT_ERROR}
@@ -157,19 +160,19 @@ class StackRun:
             except LinkError as error:
                 if step.service.end != IGNORED:
                     raise
-                self._say(step.name, f"going on without it: {error}")
+                self._say(step.name, f"the run goes on without {step.name}: {error}")
                 self._watched = False
         self._put(READY)
         self._tell_ready()
         return await self._watch()
 
     def _tell_ready(self) -> None:
-        """In the background, whoever has started us need not wait any longer."""
+        """Report that the stack is ready; in the background, release the parent process."""
         if self._run.ready_fd is None:
             if not self._run.plan.has(ROBOT):
                 self._terminal.say("up", "started; Ctrl-C ends it")
             return
-        self._terminal.say("up", f"ready; {wbc('ps')}, logs and down are for what is to come")
+        self._terminal.say("up", f"ready; next: {wbc('ps')}, logs, restart or down")
         self._terminal.leave()
         with self._folder.log.open("ab") as errors:
             tell_ready(self._run.ready_fd, errors.fileno())
@@ -189,16 +192,16 @@ class StackRun:
         if service.end == OUTCOME and code in (EXIT_STANDING, EXIT_FELL, EXIT_INTERRUPTED):
             await self._linger()
             return code
-        text = f"{service.name} ended ({exit_in_words(code)}): everything was stopped; "
+        text = f"{service.name} ended ({exit_in_words(code)}): all services were stopped; "
         text += f"its log is {self._out / service.name}.log"
         if code > 0:
-            # An error of its own is its last line.
+            # A service that ends by an error prints it in its last line.
             reason = self._supervisor.last_line(service.name).removeprefix("error: ")
-            text += f"; it said last: {reason}"
+            text += f"; its last line: {reason}"
         raise LinkError(text)
 
     async def _linger(self) -> None:
-        """Leave a view open for the person in front of it until Ctrl-C or until it is closed."""
+        """Leave the view open until Ctrl-C, or until the user closes it."""
         if not self._watched or not sys.stdin.isatty():
             return
         self._terminal.clear()
@@ -228,7 +231,7 @@ class StackRun:
         self._terminal.say(name, line)
 
     def _keep(self, service: Service) -> None:
-        """What a service has left behind, before it is started again."""
+        """Keep the files of a service before it is started again."""
         keep_report(self._out, service.report)
         self._restarted.append(service.name)
 
@@ -245,7 +248,7 @@ class StackRun:
         self._folder.write(self._state)
 
     def _sum_up(self) -> str:
-        """Tell what the robot's run came to, if there was one; in a line."""
+        """Print the summary of the run, and return its first line; empty if there is none."""
         try:
             result = summarise(self._out, self._run.config)
         except OSError as error:
@@ -253,8 +256,8 @@ class StackRun:
             return ""
         if result is None:
             return ""
-        # A view that was started again has recorded its last life only. In the background nobody
-        # waits to look at it, but somebody for the end.
+        # A viewer that was started again has recorded only its last life. In the background the
+        # recording is left out: a user waits for the end of the run, not for a recording.
         whole = (self._out / "recording.rrd").exists() and VIEWER not in self._restarted
         if not whole and self._run.ready_fd is None:
             record(self._out, lambda line: self._say(VIEWER, line))
@@ -263,7 +266,7 @@ class StackRun:
         return text.splitlines()[0]
 
     def _happened(self) -> list[str]:
-        """What the summary, made of the services' files, does not know."""
+        """Return a line with events and restarts, which the services' files do not have."""
         again = [
             f"{name} started again {self._restarted.count(name)} ×"
             for name in dict.fromkeys(self._restarted)

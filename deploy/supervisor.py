@@ -1,7 +1,7 @@
-"""Child processes as one unit: started in order of readiness, started again, ended together.
+"""Start child processes in order, start them again, and end them together.
 
 A child is ready when it prints the line that its service names. Its output goes to a log file and,
-with its name in front, to the terminal. Children get a termination signal if the supervisor dies.
+after its name, to the terminal. Children get a termination signal if the supervisor dies.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from shared.errors import ConfigError, LinkError
 
 @dataclass(frozen=True)
 class Launch:
-    """A service, the command line that runs it, and how long it may take to be ready [s]."""
+    """A service, its command line, and the time within which it has to be ready [s]."""
 
     service: Service
     command: tuple[str, ...]
@@ -76,11 +76,14 @@ class Supervisor:
         self._ended: asyncio.Queue[tuple[Service, int]] = asyncio.Queue()
 
     async def load(self, launch: Launch) -> None:
-        """Begin the process of a service that waits, when it has loaded, for its `start`."""
+        """Begin the process of a held service, which loads and then waits for `start`."""
         await self._begin(_Child(launch))
 
     async def start(self, launch: Launch) -> None:
-        """Start a service and wait until it is ready; `LinkError` with its last line if not."""
+        """Start a service and wait until it is ready.
+
+        Raise `LinkError`, with its last line, if it does not become ready.
+        """
         child = self._children.get(launch.service.name)
         if child is None:
             child = _Child(launch)
@@ -91,19 +94,19 @@ class Supervisor:
     async def restart(self, name: str) -> None:
         """End a service, start it again and wait until it is ready.
 
-        One whose end the run survives may have ended before. `ConfigError` if it is not running,
-        or if its end is the end of the run; `LinkError` if it does not come back, which is then its
-        end.
+        A service that has ended can be started again if the run goes on without it. Raise
+        `ConfigError` if the service is not running, or if its end is the end of the run. Raise
+        `LinkError` if it does not become ready again; the service has then ended.
         """
         child = self._children.get(name)
         if child is None:
             raise ConfigError(f"restart: expected one of {', '.join(self._children)}, got {name}")
         service = child.launch.service
         if service.end == OUTCOME:
-            raise ConfigError(f"restart: the run ends with {name}: {wbc('down')}, then up again")
+            raise ConfigError(f"restart: the run ends with {name}; try {wbc('down')}, then up")
         if child.state != READY and (child.state, service.end) != (ENDED, IGNORED):
             raise ConfigError(f"restart: {name} is {child.state} already; {wbc('ps')} shows it")
-        # At once, so that a second order finds it.
+        # Set at once, so that a second request is refused.
         self._put(child, STOPPING)
         if child.watch is not None:
             child.watch.cancel()
@@ -112,27 +115,27 @@ class Supervisor:
         await back
 
     async def wait(self) -> tuple[Service, int]:
-        """Wait for the first end that matters; which service, and its exit code.
+        """Wait for the first end of a service that ends the run. Return it and its exit code.
 
         The code is negative for a process that a signal has killed.
         """
         ends = [await self._ended.get()]
         while not self._ended.empty():
             ends.append(self._ended.get_nowait())
-        # What ended beside the one whose end is the outcome does not matter any more.
+        # If several services have ended, the end that is the run's outcome counts.
         return next((end for end in ends if end[0].end == OUTCOME), ends[0])
 
     def running(self, name: str) -> bool:
-        """Whether a service has been started and has not ended."""
+        """Return whether a service has been started and has not ended."""
         child = self._children.get(name)
         return child is not None and child.process.returncode is None
 
     def last_line(self, name: str) -> str:
-        """The last that a service has said."""
+        """Return the last line that a service has printed."""
         return self._children[name].last_line
 
     def states(self) -> list[ServiceState]:
-        """Of every service that has been started."""
+        """Return the state of every service that has been started."""
         return [
             ServiceState(
                 name=child.name,
@@ -146,7 +149,7 @@ class Supervisor:
         ]
 
     async def stop(self) -> None:
-        """End all services, last started first; kill those that take too long."""
+        """End all services, last started first; kill a service that takes too long."""
         children = list(reversed(self._children.values()))
         for child in children:
             if child.watch is not None:
@@ -155,7 +158,7 @@ class Supervisor:
         await asyncio.gather(
             *(child.watch for child in children if child.watch is not None), return_exceptions=True
         )
-        # What has ended is gone, and its number may be another's by now.
+        # The number of a process that has ended may belong to another process by now.
         children = [child for child in children if child.state != ENDED]
         for child in children:
             terminate(child.process)
@@ -199,7 +202,7 @@ class Supervisor:
         )
 
     async def _watch(self, child: _Child) -> None:
-        """Until the service ends for good; starts it again as often as it is to be."""
+        """Wait until the service ends for good; start it again up to `restarts_at_most` times."""
         service = child.launch.service
         failures = 0
         while True:
@@ -230,7 +233,7 @@ class Supervisor:
         except asyncio.CancelledError:
             back.cancel()
             raise
-        # Whoever asked may have left.
+        # The client that asked may have left.
         if not back.done():
             back.set_result(None)
         await self._watch(child)
@@ -252,16 +255,16 @@ class Supervisor:
             self._ended.put_nowait((service, child.process.returncode))
 
     async def _end(self, child: _Child) -> None:
-        """Until a process that was told to end has ended, and all that it left behind."""
+        """Wait until a process that was told to end has ended, then end the rest of its group."""
         seconds = child.launch.service.stop_seconds
         try:
             await asyncio.wait_for(child.process.wait(), seconds)
         except asyncio.TimeoutError:
             self._say(child.name, f"did not stop within {seconds:g} s: killed")
-        # What a service left behind in its process group goes with it.
+        # A service may have left other processes in its group.
         kill_group(child.process)
         await child.process.wait()
-        # Not awaited itself: whoever is cancelled here would cancel it.
+        # Not awaited directly: if this task is cancelled, the reader goes on.
         await asyncio.wait({child.reader})
 
     def _put(self, child: _Child, state: str) -> None:

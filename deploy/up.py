@@ -1,8 +1,10 @@
 """Start the stack, or the part of it that --only names, and wait for its end.
 
-Without --only everything runs on this machine: edge, netem, robot and viewer. Exit code 0: the
-robot finished standing, or where no robot runs, a signal ended the rest; with -d, everything is
-ready. 3: the robot fell. 130: a signal ended its run. Anything else: an error that says what to do.
+Without --only everything runs on this machine: edge, netem, robot and viewer.
+
+Exit code 0: the robot finished standing. If no robot runs here: a signal ended the services. With
+-d: all services are ready. 3: the robot fell. 130: a signal ended the robot's run. Any other code:
+an error, and its message says what to do.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ from shared.robots import load_robot
 
 
 def run_up(arguments: argparse.Namespace) -> int:
-    """Run the stack that the arguments describe; the exit code of the module."""
+    """Run the stack that the arguments describe. Return the exit code, as the module lists it."""
     declared = load_services()
     if arguments.detach:
         return in_background(lambda ready_fd: _play(arguments, declared, ready_fd))
@@ -51,16 +53,19 @@ def run_up(arguments: argparse.Namespace) -> int:
 
 
 def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd: int | None) -> int:
-    """The run that the arguments describe; its exit code."""
+    """Play the run that the arguments describe. Return its exit code."""
     config = config_from(arguments)
     chosen = services_of(declared, arguments.only, direct=config.link.network == "direct")
     services = tuple(service.name for service in chosen)
     if NETEM not in services:
         if arguments.network not in (None, "direct"):
-            raise ConfigError(f"network: only netem makes {arguments.network}; add it to --only")
+            raise ConfigError(
+                f"network: {arguments.network} needs netem; add netem to --only, or leave "
+                "--network out"
+            )
         link = dataclasses.replace(config.link, network="direct")
         config = dataclasses.replace(config, link=link)
-    # Whatever cannot be done is said before anything starts.
+    # Settings that cannot be used are refused before anything starts.
     make_motion(load_robot(config.robot.name), config)
     if NETEM in services:
         load_network(config.link.network)
@@ -87,7 +92,7 @@ def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd:
 
 
 def add_up_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `up`."""
+    """Add the options of `up`."""
     parser.description = __doc__
     add_run_arguments(parser)
     add_view_argument(parser)
@@ -106,29 +111,29 @@ def add_up_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--only",
         metavar="SERVICE,…",
-        help=f"start these of {', '.join(load_services())} (default: all but the router)",
+        help=f"services to start, of {', '.join(load_services())} (default: all but the router)",
     )
     group.add_argument(
         "--edge",
         metavar="ENDPOINT",
-        help="where the robot, or the shim, dials the edge or a router",
+        help="the edge or the router that the robot, or the shim, dials",
     )
     group.add_argument(
         "--router",
         metavar="ENDPOINT",
-        help="edge and robot dial this router, which brings them together",
+        help="the router that both edge and robot dial",
     )
     group.add_argument(
         "--listen",
         metavar="ENDPOINT",
-        help="where edge, router or shim wait for the other machine; without certificates on "
-        "loopback unless told otherwise",
+        help="where edge, router or shim listen for the other machine (default without "
+        "certificates: on loopback)",
     )
     add_identity_arguments(group)
 
 
 def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) -> Path:
-    """A new folder with the settings in it."""
+    """Make a new folder with the settings in it."""
     if out is None:
         network = config.link.network.replace("/", "-").replace(":", "-").strip(".-")
         what = f"{config.task}-{config.controller}-{network}"
@@ -146,14 +151,14 @@ def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) 
 
 
 def _check_port(plan: Plan) -> None:
-    """What listens for other machines can do so; `LinkError` before anything starts if not."""
+    """Check that the port for other machines is free; raise `LinkError` if it is not."""
     endpoint = plan.opens
     if endpoint is None or endpoint.port == 0:
         return
     datagrams = endpoint.protocol in ("udp", "quic")
     family = socket.AF_INET6 if ":" in endpoint.host else socket.AF_INET
     with socket.socket(family, socket.SOCK_DGRAM if datagrams else socket.SOCK_STREAM) as probe:
-        # As Zenoh does: a connection that has just been closed is in nobody's way.
+        # As Zenoh does: a connection that has just been closed does not block the port.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, not datagrams)
         try:
             probe.bind((endpoint.host, endpoint.port))
@@ -161,7 +166,8 @@ def _check_port(plan: Plan) -> None:
             if error.errno == errno.EADDRINUSE:
                 raise LinkError(
                     f"listen: port {endpoint.port} is in use, by another stack ({wbc('ps')}) or "
-                    f"another program; end it, or --listen {endpoint.protocol}/{endpoint.host}:PORT"
+                    f"another program; end it, or try --listen {endpoint.protocol}/"
+                    f"{endpoint.host}:PORT"
                 ) from None
 
 

@@ -1,7 +1,7 @@
-"""The stack in the background: what runs, what it says, one service again, all of it ended.
+"""The commands for stacks in the background: `ps`, `logs`, `restart` and `down`.
 
-These are about the stacks that `up -d` started from this copy of the project; with `--run` about
-any run's folder, also one whose `up` is in another terminal.
+They act on the stacks that `up -d` started from this copy of the project. With `--run` they act on
+the stack of any run's folder, also if its `up` runs in another terminal.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from shared.process.cli import EXIT_STANDING
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED
 
 _POLL_SECONDS = 0.1
-# Beyond what the services themselves may take to start or to end.
+# Added to the time that the services themselves may take to start or to end.
 _PATIENCE_SECONDS = 120.0
 
 Found = list[tuple[StackFolder, StackState]]
@@ -33,7 +33,7 @@ Found = list[tuple[StackFolder, StackState]]
 
 def add_ps_arguments(parser: argparse.ArgumentParser) -> None:
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--name", help="only the stack of the robot of this name")
+    which.add_argument("--name", help="only the stack of the robot with this name")
     which.add_argument("--run", metavar="DIR", type=Path, help="the stack of this run's folder")
 
 
@@ -42,8 +42,12 @@ def add_down_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_logs_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("-f", "--follow", action="store_true", help="go on until the stack ends")
-    parser.add_argument("service", nargs="?", metavar="SERVICE", help="only what this one says")
+    parser.add_argument(
+        "-f", "--follow", action="store_true", help="print new lines until the stack ends"
+    )
+    parser.add_argument(
+        "service", nargs="?", metavar="SERVICE", help="print only the output of this service"
+    )
     add_ps_arguments(parser)
 
 
@@ -53,7 +57,7 @@ def add_restart_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _stacks(arguments: argparse.Namespace) -> Found:
-    """Those that are meant: all that run, or the one that ended last."""
+    """Return the stacks that the arguments select: all that run, or the one that ended last."""
     if arguments.run is not None:
         stack = StackFolder(arguments.run)
         return [(stack, stack.read())]
@@ -61,7 +65,10 @@ def _stacks(arguments: argparse.Namespace) -> Found:
 
 
 def _one_with(service: str | None, arguments: argparse.Namespace) -> tuple[StackFolder, StackState]:
-    """The stack that is meant; `ConfigError` if there is none, or if there are several."""
+    """Return the stack that the arguments select.
+
+    Raise `ConfigError` if there is none, or if there are several.
+    """
     found = _stacks(arguments)
     if not found:
         raise ConfigError(f"no stack was started in the background; {wbc('up -d')} starts one")
@@ -74,12 +81,12 @@ def _one_with(service: str | None, arguments: argparse.Namespace) -> tuple[Stack
         raise ConfigError(f"service: expected one of {', '.join(named)}, got {service!r}")
     if len(having) > 1:
         runs = ", ".join(str(stack.run) for stack, _ in having)
-        raise ConfigError(f"several stacks run: say which by --name or --run; {runs}")
+        raise ConfigError(f"several stacks run: {runs}; select one with --name or --run")
     return having[0]
 
 
 def run_ps(arguments: argparse.Namespace) -> int:
-    """Every stack that runs and its services; else how the last one ended."""
+    """Print every stack that runs and its services; if none runs, how the last one ended."""
     found = _stacks(arguments)
     if not any(stack.alive for stack, _ in found):
         print("nothing is running")
@@ -89,7 +96,7 @@ def run_ps(arguments: argparse.Namespace) -> int:
 
 
 def _in_words(stack: StackFolder, state: StackState, *, alive: bool, now: float) -> list[str]:
-    """A stack in words, and a table of its services."""
+    """Return the lines that describe a stack, and a table of its services."""
     since = _time_of_day(state.since, now)
     if alive:
         lines = [f"{stack.run}: {state.robot}, {state.state} since {since}, pid {state.pid}"]
@@ -123,8 +130,8 @@ def _time_of_day(seconds: float, now: float) -> str:
 
 
 def run_logs(arguments: argparse.Namespace) -> int:
-    """What a stack or one of its services has said."""
-    # A line that is being followed is to be seen at once.
+    """Print the output of a stack, or of one of its services."""
+    # With --follow, a line has to appear at once.
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     stack, _ = _one_with(arguments.service, arguments)
     service = arguments.service
@@ -140,13 +147,13 @@ def run_logs(arguments: argparse.Namespace) -> int:
 
 
 def _lines(file: Path, following: StackFolder | None) -> Iterator[str]:
-    """Lines of a file; of one that is still written, as long as a stack lives."""
+    """Yield the lines of a file; while the stack `following` lives, also lines added later."""
     while following is not None and following.alive and not file.exists():
         time.sleep(_POLL_SECONDS)
     rest = ""
     with contextlib.suppress(FileNotFoundError), file.open(encoding="utf-8") as reader:
         while True:
-            # Asked first: what a stack wrote before it ended is still read.
+            # Asked before reading, so that the last lines of a stack are still read.
             alive = following is not None and following.alive
             for chunk in reader:
                 rest += chunk
@@ -161,8 +168,8 @@ def _lines(file: Path, following: StackFolder | None) -> Iterator[str]:
 
 
 def run_restart(arguments: argparse.Namespace) -> int:
-    """End one service and start it again; returns when it is ready."""
-    # Imported here: asyncio takes as long as all that the other commands need.
+    """End one service and start it again; return when it is ready."""
+    # Imported here: asyncio takes as long to load as everything that the other commands need.
     from deploy.background.control_server import request_restart
 
     stack, _ = _one_with(arguments.service, arguments)
@@ -176,15 +183,15 @@ def run_restart(arguments: argparse.Namespace) -> int:
 
 
 def run_down(arguments: argparse.Namespace) -> int:
-    """End every stack; 0, or 3 if a robot had fallen, or 2 if one had ended by an error."""
+    """End every stack. Return 0, or 3 if a robot fell, or 2 if a stack ended by an error."""
     found = _stacks(arguments)
     running = [each for each in found if each[0].alive]
     if not running:
         print("nothing is running")
     for stack, state in running:
-        # A robot that has run for an hour takes minutes to write what it has measured.
+        # A robot that has run for an hour takes minutes to write its measurements.
         print(f"{stack.run}: stopping")
-        # It holds its lock, so this is still its process.
+        # The stack holds its lock, so the process number is still its own.
         with contextlib.suppress(ProcessLookupError):
             os.kill(state.pid, signal.SIGTERM)
     codes = [EXIT_STANDING]
@@ -194,7 +201,7 @@ def run_down(arguments: argparse.Namespace) -> int:
         print(_in_words(stack, state, alive=False, now=time.time())[0])
         if state.state != ENDED:
             codes.append(EXIT_ERROR)
-        # What was asked for is no failure.
+        # An end by this command is no failure.
         elif state.exit_code not in (None, EXIT_INTERRUPTED):
             codes.append(state.exit_code)
     return max(codes)

@@ -1,4 +1,7 @@
-"""Controls a running stack over its socket: a line of JSON each way, one request a connection."""
+"""Control a running stack over its socket.
+
+A connection carries one request and one answer, each a line of JSON.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from shared.errors import LinkError, UserError
 
 
 class ControlServer:
-    """Serves requests while a stack runs: `restart` is the only one."""
+    """Serves requests while a stack runs. `restart` is the only request."""
 
     def __init__(self, stack: StackFolder, restart: Callable[[str], Awaitable[None]]) -> None:
         self._stack = stack
@@ -57,7 +60,10 @@ class ControlServer:
 
 
 def request_restart(stack: StackFolder, service: str, *, within_seconds: float) -> None:
-    """Have a service started again; returns when it is ready. `LinkError` says why it is not."""
+    """Ask a stack to start a service again; return when it is ready.
+
+    Raise `LinkError` if it does not become ready.
+    """
     asking = socket.socket(socket.AF_UNIX)
     asking.settimeout(within_seconds)
     try:

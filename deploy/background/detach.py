@@ -1,4 +1,4 @@
-"""A stack in the background: whoever starts it waits until it is ready and is then left alone."""
+"""Start a stack in the background: the parent process waits only until the stack is ready."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ _ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 def in_background(play: Callable[[int], int]) -> int:
-    """Have a process of its own session run `play(ready_fd)`; returns in both, with an exit code.
+    """Run `play(ready_fd)` in a child process with a new session. Return in both processes.
 
-    Here 0 once `tell_ready(ready_fd, …)` was called, or its exit code if it ends before. Until then
-    it prints to this terminal, and a signal here ends it too. No thread may have been started yet.
+    The child returns the exit code of `play`. The parent returns 0 once the child has called
+    `tell_ready(ready_fd, …)`, or the child's exit code if it ends before. Until then the child
+    prints to this terminal, and a signal to the parent ends the child too. No thread may have been
+    started yet.
     """
     reading, writing = os.pipe()
     sys.stdout.flush()
-    # Held back until there is somebody to be told of them.
+    # Signals are held back until there is a child to send them to.
     unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
     process = os.fork()
     if process == 0:
@@ -56,13 +58,16 @@ def in_background(play: Callable[[int], int]) -> int:
 
 
 def tell_ready(descriptor: int, errors: int) -> None:
-    """Say so to whoever waits, and let go of their terminal; what goes wrong goes to `errors`."""
+    """Tell the parent process that the stack is ready, and release its terminal.
+
+    From here on, standard error goes to the descriptor `errors`.
+    """
     sys.stdout.flush()
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, sys.stdout.fileno())
     os.dup2(errors, sys.stderr.fileno())
     os.close(nothing)
-    # Whoever waited may have been killed.
+    # The parent may have been killed.
     with contextlib.suppress(BrokenPipeError):
         os.write(descriptor, _READY)
     os.close(descriptor)

@@ -1,9 +1,9 @@
 """The stacks that were started in the background from this copy of the project.
 
-Each is a link to its run's folder, `ROBOT.SERVICE+SERVICE`, and stays until the next one of the
-same name takes its place. The links are in `runs/.stacks` of the project's folder, or, where it is
-installed as a package, of all its installations in `remote-wbc/stacks` of the user's state folder
-($XDG_STATE_HOME, ~/.local/state).
+Each stack has a link to its run's folder. The link's name is `ROBOT.SERVICE+SERVICE`, and the next
+stack of the same name replaces it. The links are in `runs/.stacks` of the project's folder. All
+installations as a package share `remote-wbc/stacks` in the user's state folder ($XDG_STATE_HOME,
+~/.local/state).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from shared.errors import ConfigError
 
 
 def registry_folder() -> Path:
-    """Where the links are."""
+    """Return the folder of the links."""
     if CHECKOUT is not None:
         return CHECKOUT / "runs" / ".stacks"
     state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
@@ -28,13 +28,13 @@ def registry_folder() -> Path:
 
 
 class Registry:
-    """The links, in `folder`."""
+    """The links in one folder."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._folder = folder or registry_folder()
 
     def check(self, run: Path | None, *, robot: str, services: tuple[str, ...]) -> None:
-        """`ConfigError` if another stack than `run` has this robot and one of these services."""
+        """Raise `ConfigError` if a stack other than `run` runs a service of this robot."""
         for stack, state in self.found(robot=robot):
             both = [name for name in services if name in state.named]
             if both and stack.alive and (run is None or stack.run != run.resolve()):
@@ -44,7 +44,7 @@ class Registry:
                 )
 
     def add(self, run: Path, *, robot: str, services: tuple[str, ...]) -> None:
-        """Enter a stack that holds the lock of its own folder already; checked as `check` does."""
+        """Add a stack, after a `check`. The stack already holds the lock of its folder."""
         with self._locked():
             self.check(run, robot=robot, services=services)
             link = self._folder / f"{robot}.{'+'.join(services)}"
@@ -53,10 +53,10 @@ class Registry:
             os.replace(new, link)
 
     def found(self, *, robot: str | None = None) -> list[tuple[StackFolder, StackState]]:
-        """All stacks that are known, of one robot if it is given, the newest first."""
+        """Return all known stacks, or all of one robot, the newest first."""
         stacks = []
         for link in sorted(self._folder.glob("[!.]*")):
-            # Its folder may have been removed.
+            # The run's folder may have been removed.
             with contextlib.suppress(ConfigError):
                 stack = StackFolder(link.resolve())
                 state = stack.read()
@@ -65,13 +65,13 @@ class Registry:
         return sorted(stacks, key=lambda each: each[1].since, reverse=True)
 
     def current(self, *, robot: str | None = None) -> list[tuple[StackFolder, StackState]]:
-        """Those that run; if none does, the one that ended last."""
+        """Return the stacks that run; if none runs, the one that ended last."""
         known = self.found(robot=robot)
         return [each for each in known if each[0].alive] or known[:1]
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
-        """Two that start at once do so one after the other."""
+        """Lock the registry, so that two stacks that start at once are added one by one."""
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             lock = (self._folder / ".lock").open("w", encoding="ascii")

@@ -1,9 +1,9 @@
-"""What a stack says about itself in its run's folder, to those who come later or from elsewhere.
+"""The files in a run's folder by which other processes see and control its stack.
 
-RUN/stack/lock      held while the stack's supervisor lives, however it ends
-RUN/stack/state     services, their processes and how the run ended, as JSON
-RUN/stack/log       what was said, as it was printed
-RUN/stack/control   socket that takes requests
+RUN/stack/lock      Held until the process of the stack's supervisor ends.
+RUN/stack/state     Services, their processes and how the run ended, as JSON.
+RUN/stack/log       The lines that were printed.
+RUN/stack/control   The socket that takes requests.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STARTING, READY, STOPPING, ENDED = "starting", "ready", "stopping", "ended"
 
 @dataclass(frozen=True)
 class ServiceState:
-    """A service: its last process, what it does since when [s since 1970], and how it ended."""
+    """The last process of a service: its state, since when [s since 1970], and its exit code."""
 
     name: str
     pid: int
@@ -37,16 +37,16 @@ class ServiceState:
 
 
 def exit_in_words(code: int) -> str:
-    """An exit code; a negative one is that of a process that a signal has killed."""
+    """Return an exit code in words. A negative one means that a signal killed the process."""
     return f"exit {code}" if code >= 0 else f"signal {-code}"
 
 
 @dataclass(frozen=True)
 class StackState:
-    """A stack: its supervisor's process, its services, and once it has ended, how.
+    """A stack: its supervisor's process, its services, and how it ended, if it has.
 
-    `robot` is the name on the link, `named` every service of its plan, `services` those that have
-    been started. `state` as of a service.
+    `robot` is the name on the link, `named` every service of the plan, `services` the services that
+    have been started. `state` and `since` are as in `ServiceState`.
     """
 
     pid: int
@@ -60,10 +60,10 @@ class StackState:
 
 
 class LineFile:
-    """Lines added to a file, each at once. Those that a full disk has no room for are missing."""
+    """Writes each line to a file at once. If the disk is full, lines are dropped."""
 
     def __init__(self, path: Path) -> None:
-        # Without a buffer: one that cannot be written would be tried again with every line.
+        # Without a buffer: a buffer that cannot be written is tried again with every line.
         self._file = path.open("ab", buffering=0)
 
     def __enter__(self) -> LineFile:
@@ -90,7 +90,10 @@ class StackFolder:
         self._lock = self.folder / "lock"
 
     def claim(self) -> TextIO:
-        """Make the folder and hold its lock, until what is returned is closed or we end."""
+        """Make the folder and hold its lock until the returned file is closed or this process ends.
+
+        Raise `ConfigError` if the folder cannot be written.
+        """
         try:
             self.folder.mkdir(exist_ok=True)
             held = self._lock.open("w", encoding="ascii")
@@ -101,7 +104,7 @@ class StackFolder:
 
     @property
     def alive(self) -> bool:
-        """Whether the supervisor lives."""
+        """Return whether the supervisor lives."""
         try:
             with self._lock.open(encoding="ascii") as lock:
                 fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -112,9 +115,9 @@ class StackFolder:
         return False
 
     def write(self, state: StackState) -> None:
-        """Replace the state: whoever reads it finds the old one or the new one.
+        """Replace the state, so that a reader finds either the old one or the new one.
 
-        A full disk leaves the old one: it stops no run.
+        If the disk is full, the old state stays and the run goes on.
         """
         new = self._state.with_suffix(".new")
         text = json.dumps(dataclasses.asdict(state), indent=2)
@@ -123,20 +126,20 @@ class StackFolder:
             os.replace(new, self._state)
 
     def read(self) -> StackState:
-        """The last state; `ConfigError` if this is no folder of a run."""
+        """Return the last state; raise `ConfigError` if this is not the folder of a run."""
         try:
             table = json.loads(self._state.read_text(encoding="utf-8"))
             services = tuple(ServiceState(**each) for each in table.pop("services"))
             return StackState(**{**table, "named": tuple(table["named"]), "services": services})
         except (OSError, ValueError, KeyError, TypeError):
             raise ConfigError(
-                f"run: expected the folder of a run of {wbc('up')}, {self.run} is none"
+                f"run: expected the folder of a run that {wbc('up')} made, got {self.run}"
             ) from None
 
 
 @contextlib.contextmanager
 def within(folder: Path) -> Iterator[None]:
-    """Be in a folder for a moment: the path of a socket has room for a hundred characters only."""
+    """Change into a folder for a moment, because a socket's path has at most 100 characters."""
     before = Path.cwd()
     os.chdir(folder)
     try:

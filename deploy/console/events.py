@@ -1,7 +1,7 @@
-"""What happens in a run, from its telemetry: pushes, and times in which nothing passes the link.
+"""The events of a run, from its telemetry: pushes, and outages of the link.
 
-Blocks arrive on the bus's threads, `take` is called by whoever tells a person. What the robot does
-about it, such as holding its joints, the robot says itself.
+Blocks of rows arrive on the bus's threads; the thread that prints calls `take`. The robot itself
+prints its reactions, such as a joint hold.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from shared.output.report import DIRECTIONS
 from shared.telemetry.outages import OUTAGE, Change, LinkLane
 from shared.telemetry.schema import Schema
 
-# Worth a line if it lasted so long; said while it lasts if it lasts longer: what the shim reports
-# comes in blocks, and late on a busy machine.
+# An outage of at least TOLD_NS gets a line when it ends. One of more than _SAID_NS also gets a line
+# while it lasts. A shorter time is not enough: the shim's rows come in blocks, and late on a busy
+# machine.
 TOLD_NS = 150_000_000
 _SAID_NS = 500_000_000
 _UP = 0
@@ -32,7 +33,7 @@ class Event:
 
 
 class Events:
-    """Events of a run, and how many there were."""
+    """The events of a run, and lists of its pushes and outages."""
 
     def __init__(self) -> None:
         self.pushes: list[str] = []
@@ -41,7 +42,7 @@ class Events:
         self._pushed = False
         # The robot sends all the time; answers may be rare.
         self._lanes = (LinkLane(steady=True), LinkLane())
-        # Of the uplink, said while it lasts.
+        # Beginning of an uplink outage that has been announced while it lasts.
         self._open_since_ns: int | None = None
         # Task time minus the machine's clock; None before the task begins.
         self._offset_ns: int | None = None
@@ -49,12 +50,12 @@ class Events:
 
     @property
     def silence_ns(self) -> int:
-        """How long ago a state last came out of the shim; 0 without a shim."""
+        """The time since a state last came out of the shim [ns]; 0 without a shim."""
         last_ns = self._lanes[_UP].last_arrival_ns
         return 0 if last_ns is None else max(0, self._now_ns - last_ns)
 
     def take_ticks(self, schema: Schema, rows: np.ndarray) -> None:
-        """Rows of the robot, in order."""
+        """Take in rows of the robot, in order."""
         rows = rows[schema.column(rows, "time_ns") >= 0]
         if not len(rows):
             return
@@ -68,13 +69,13 @@ class Events:
             self.pushes.append(push)
             self._new.append(Event("robot", f"pushed with {push}"))
         self._pushed = bool(pushed[-1])
-        # Of the downlink the robot tells meanwhile: the edge may have had nothing to say.
+        # Only the uplink: the edge may have nothing to send, and the robot reports old answers.
         for since_ns, _ in self._lanes[_UP].silent(self._now_ns, OUTAGE, patience_ns=_SAID_NS):
             self._open_since_ns = since_ns
-            self._add(f"nothing passes the uplink since {self._time(since_ns)}")
+            self._add(f"no message has passed the uplink since {self._time(since_ns)}")
 
     def take_link(self, schema: Schema, rows: np.ndarray) -> None:
-        """Rows of the shim, in order."""
+        """Take in rows of the shim, in order."""
         directions = schema.column(rows, "direction")
         for direction, lane in enumerate(self._lanes):
             way = rows[directions == direction]
@@ -84,24 +85,24 @@ class Events:
                 self._tell(direction, changes)
 
     def take(self) -> list[Event]:
-        """Events since the last call."""
+        """Return the events since the last call."""
         return [self._new.popleft() for _ in range(len(self._new))]
 
     def in_words(self) -> str:
-        """What happened, in a line; empty if nothing did."""
+        """Return all events in a line; empty if there were none."""
         parts = []
         if self.pushes:
             parts.append(f"pushed with {', '.join(self.pushes)}")
         for name, outages_ns in zip(DIRECTIONS, self.outages_ns, strict=True):
             if outages_ns:
                 longest = max(outages_ns) * 1e-9
-                parts.append(f"{name} stood still {len(outages_ns)} ×, at most {longest:.2f} s")
+                parts.append(f"{name} outage {len(outages_ns)} ×, at most {longest:.2f} s")
         if self._open_since_ns is not None:
-            parts.append(f"nothing passed the uplink since {self._time(self._open_since_ns)}")
+            parts.append(f"no message passed the uplink after {self._time(self._open_since_ns)}")
         return "; ".join(parts)
 
     def _tell(self, direction: int, changes: list[Change]) -> None:
-        """Outages that have ended; one was said before if it is still open."""
+        """Add the outages that have ended. The one that is still open was announced before."""
         if not changes:
             return
         said_ns = since_ns = self._open_since_ns if direction == _UP else None
@@ -116,7 +117,7 @@ class Events:
                     after = f"after {lasted_ns * 1e-9:.2f} s"
                     self._add(f"the {name} passes again at {self._time(at_ns)}, {after}")
                 elif since_ns == said_ns:
-                    self._add(f"the {name} passes; its report was late")
+                    self._add(f"the {name} had no outage; the shim's rows came late")
         if direction == _UP:
             self._open_since_ns = None
 
@@ -129,7 +130,7 @@ class Events:
 
 
 def _force_in_words(force: np.ndarray) -> str:
-    """A force [N] in the world: along an axis, or by its components."""
+    """Return text for a force [N] in the world: along an axis, or by its components."""
     axis = int(np.argmax(np.abs(force)))
     if np.count_nonzero(force) > 1:
         return f"({', '.join(f'{part:.0f}' for part in force)}) N"

@@ -1,4 +1,4 @@
-"""The state of a run in one line, as wide as the terminal: with the link's delay over time."""
+"""The state of a run in one line that fits the terminal, with the link's delay over time."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from shared.telemetry.schema import Schema, Source
 from shared.wbc.contacts import ContactMode
 
 _BARS = "▁▂▃▄▅▆▇█"
-# What the lowest and the highest bar stand for, by powers of ten in between [ms].
+# The delays of the lowest and the highest bar; the scale is logarithmic [ms].
 _LEAST_MS, _MAX_MS = 1.0, 1000.0
-# How many of them are shown.
+# The largest and the smallest number of bars.
 _LONGEST, _SHORTEST = 40, 8
 _FEET = {
     ContactMode.DOUBLE_SUPPORT: "both feet",
@@ -27,7 +27,7 @@ _FEET = {
 
 
 class Status:
-    """The latest of what the services publish, and the events in it."""
+    """The newest rows that the services publish, and the events in them."""
 
     def __init__(self, *, duration: float, walks: bool = False) -> None:
         self.events = Events()
@@ -39,7 +39,7 @@ class Status:
         self._delays_ms: deque[float] = deque(maxlen=_LONGEST)
 
     def take_ticks(self, delivery: Delivery) -> None:
-        """Block of the robot's rows."""
+        """Take in a block of the robot's rows."""
         schema, rows = self._tick = decode_rows(delivery.data)
         self.events.take_ticks(schema, rows)
         delay_ms = self._round_trip_ms(schema, rows)
@@ -47,7 +47,7 @@ class Status:
             self._delays_ms.append(delay_ms)
 
     def take_link(self, delivery: Delivery) -> None:
-        """Block of the shim's rows."""
+        """Take in a block of the shim's rows."""
         schema, rows = decode_rows(delivery.data)
         self.events.take_link(schema, rows)
         directions, achieved = schema.column(rows, "direction"), schema.column(rows, "achieved_ns")
@@ -59,13 +59,13 @@ class Status:
                     self._delay_ms[direction] = way[-1] * 1e-6
 
     def take_events(self) -> list[Event]:
-        """Events since the last call."""
+        """Return the events since the last call."""
         return self.events.take()
 
     def line(self, columns: int = 160) -> str:
-        """One line of at most so many columns, from the left what matters most.
+        """Return a line of at most `columns` characters. Less important parts are left out.
 
-        Says that it waits until the robot has begun.
+        Until the robot has begun, the line says that it waits.
         """
         if self._tick is None:
             return "waiting for the robot"[:columns]
@@ -102,8 +102,11 @@ class Status:
         return "-" if delay_ms is None else f"{delay_ms:.1f}"
 
     def _round_trip_ms(self, schema: Schema, rows: np.ndarray) -> float | None:
-        """There and back, or as long as nothing has come through at all: by the last state, or by
-        the age of the answer in use if it is used as it came. Without a shim here it is that age.
+        """Return the round trip [ms], or the time without a message if an outage makes it longer.
+
+        The time without a message is the time since the last state came out of the shim, or the age
+        of the answer in use. The age counts only if the answer is used as it came. Without a shim
+        here the result is that age.
         """
         source = Source(schema.column(rows, "source")[-1]).label
         age_ns = float(schema.column(rows, "projector_age_ns")[-1])
@@ -116,7 +119,10 @@ class Status:
 
 
 def sparkline(delays_ms: Iterable[float]) -> str:
-    """A bar per delay, from 1 ms to 1 s by powers of ten; so that runs can be compared."""
+    """Return a bar for each delay.
+
+    The scale is logarithmic from 1 ms to 1 s in every run, so that runs can be compared.
+    """
     decades = math.log10(_MAX_MS / _LEAST_MS)
     bars = ""
     for delay in delays_ms:

@@ -1,7 +1,8 @@
-"""Lines on a terminal or into a file: those of services with their name, a status line below them.
+"""Print the services' lines, each after the service's name, and a status line below them.
 
-On a terminal the status line is kept last and rewritten in place; elsewhere it is a line now and
-then, and nothing is coloured. Whatever is said also goes to a `copy`, which is read later.
+On a terminal the status line stays last and is rewritten in place. Elsewhere it is printed every
+second if it has changed, and nothing is coloured. All lines also go to a `copy`, which `logs`
+reads.
 """
 
 from __future__ import annotations
@@ -41,11 +42,11 @@ class Terminal:
 
     @property
     def columns(self) -> int:
-        """How long a status line may be."""
+        """The maximum length of a status line [characters]."""
         return shutil.get_terminal_size().columns - 1 if self._live else 160
 
     def say(self, name: str, line: str) -> None:
-        """One line of a service."""
+        """Print a line of a service."""
         plain = f"{name:>6} | {line}"
         if self._live:
             label = f"{name:>6} │"
@@ -57,16 +58,16 @@ class Terminal:
         self._keep(plain)
 
     def tell(self, text: str) -> None:
-        """Whole lines of nobody in particular."""
+        """Print whole lines that belong to no service."""
         self._print(text)
         self._keep(text)
 
     def note(self, text: str) -> None:
-        """A line for those who read the copy."""
+        """Write a line into the copy only."""
         self._keep(text)
 
     def show(self, status: str) -> None:
-        """The status line: in place on a terminal; elsewhere if it is new, now and then."""
+        """Print the status line: in place on a terminal, elsewhere every second if it changes."""
         now = time.monotonic()
         if now - self._last_copied >= _COPY_SECONDS:
             self._last_copied = now
@@ -87,7 +88,7 @@ class Terminal:
         self._status = ""
 
     def leave(self) -> None:
-        """Say no more to whoever started this; the copy goes on."""
+        """Stop printing to the terminal; the copy goes on."""
         self.clear()
         self._quiet = True
 
@@ -101,7 +102,7 @@ class Terminal:
         except OSError:
             if self._copy is None:
                 raise
-            # Whoever read this has left, or the terminal was closed: no reason to end a run.
+            # The reader has left or the terminal was closed. The run goes on.
             self._quiet = True
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -111,6 +112,6 @@ class Terminal:
 
 
 def service_line(line: str) -> tuple[str, str] | None:
-    """Who said a line of a copy, and what; None for a line of nobody in particular."""
+    """Split a line of a copy into service and text; None for a line of no service."""
     match = _SAID.fullmatch(line)
     return None if match is None else (match[1], match[2])

@@ -1,8 +1,8 @@
-"""A run in lines, apart from what runs it: the telemetry hub, what passes it, and the summary.
+"""Watch a run whose services run elsewhere: telemetry hub, status line and summary.
 
-`python -m deploy.console.watch --listen tcp/0.0.0.0:7450`: robot, shim and viewer find one another
-there. `./deploy/up` has a hub of its own. Ended after the services, it sums up the files that they
-have left in `--out`.
+`python -m deploy.console.watch --listen tcp/0.0.0.0:7450` opens the hub that robot, shim and viewer
+connect to. `./deploy/up` contains a hub already. End this program after the services: it sums up
+the files that they have left in `--out`.
 """
 
 from __future__ import annotations
@@ -32,16 +32,22 @@ _PERIOD_SECONDS = 0.1
 def main() -> int:
     parser = Parser(prog=python_module("deploy.console.watch"), description=__doc__)
     parser.add_argument(
-        "--listen", metavar="ENDPOINT", default=_ENDPOINT, help="(default %(default)s)"
+        "--listen",
+        metavar="ENDPOINT",
+        default=_ENDPOINT,
+        help="endpoint of the hub (default %(default)s)",
     )
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, help="where the services write: summed up at the end"
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="folder of the services' files, to sum them up at the end",
     )
     add_run_arguments(parser)
     arguments = parser.parse_args()
     config = config_from(arguments)
     if arguments.out is not None:
-        # Of an earlier run: this one may come to nothing.
+        # The summary of an earlier run: this run may leave none.
         (arguments.out / SUMMARY).unlink(missing_ok=True)
     stop = StopSignal()
     status, terminal = status_of(config), Terminal()
@@ -63,12 +69,15 @@ def main() -> int:
 
 
 def status_of(config: RunConfig) -> Status:
-    """A status line for a run."""
+    """Return the status line for a run."""
     return Status(duration=config.duration, walks=config.task == "walk")
 
 
 def open_hub(endpoint: str, status: Status, *, robot: str) -> ZenohBus:
-    """The hub that services of a run report to; `robot` is the kind, not the name on the link."""
+    """Open the hub that the services of a run report to.
+
+    `robot` is the kind of robot, not its name on the link.
+    """
     hub = ZenohBus(listen=[endpoint], mode="router")
     hub.subscribe(TICKS_KEY.format(robot=robot), status.take_ticks)
     hub.subscribe(LINK_KEY, status.take_link)
@@ -76,7 +85,7 @@ def open_hub(endpoint: str, status: Status, *, robot: str) -> ZenohBus:
 
 
 def tell(status: Status, terminal: Terminal) -> None:
-    """What is new, and how things are."""
+    """Print new events and the status line."""
     for event in status.take_events():
         terminal.say(event.name, event.text)
     terminal.show(status.line(terminal.columns))

@@ -162,7 +162,7 @@ def test_while_one_runs_those_that_have_ended_are_not_meant(known, running, tmp_
 def test_of_several_stacks_one_has_to_be_named(known, running):
     for name in ("amy", "ben"):
         known.add(running(name, robot=name).run, robot=name, services=("edge", "robot"))
-    with pytest.raises(ConfigError, match="by --name or --run"):
+    with pytest.raises(ConfigError, match="with --name or --run"):
         control.run_logs(asked(follow=False))
     with pytest.raises(ConfigError, match="expected one of edge, robot, got 'viewer'"):
         control.run_logs(asked(follow=False, name="amy", service="viewer"))

@@ -100,7 +100,7 @@ def test_a_python_without_the_project_is_one_line(tmp_path: Path) -> None:
     done = ran([other, "-m", "experiments", "trial"], cwd=ROOT)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
-    assert f"got {other}; ./deploy/setup installs it" in done.stderr
+    assert f"got {other}; run ./deploy/setup and" in done.stderr
 
 
 def test_a_missing_package_is_one_line(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_private_keys_are_for_their_owner_only(tmp_path: Path, mask: int):
 
 def test_nothing_is_overwritten(folder: Path):
     before = {file: file.read_bytes() for file in folder.iterdir()}
-    with pytest.raises(ConfigError, match=r"has ca\.crt; name another folder, or --add"):
+    with pytest.raises(ConfigError, match=r"has ca\.crt; name another folder, or use --add"):
         make(folder, robots=["ben"])
     assert {file: file.read_bytes() for file in folder.iterdir()} == before
 
@@ -111,7 +111,7 @@ def test_adding_what_is_there_already_says_so(folder: Path):
 
 
 def test_adding_without_an_authority_says_what_is_missing(tmp_path: Path):
-    with pytest.raises(ConfigError, match=r"cannot read .*ca\.key.*leave it out"):
+    with pytest.raises(ConfigError, match=r"cannot read .*ca\.key.*leave --add out"):
         make(tmp_path, robots=["romeo"], add=True)
 
 
@@ -139,7 +139,7 @@ def test_the_command_says_what_belongs_where_and_what_must_stay(tmp_path: Path):
     done = played(*command)
     assert done.returncode == 0, done.stderr
     assert "robot-amy: copy ca.crt, robot-amy.crt, robot-amy.key" in done.stdout
-    assert "ca.key off all of them" in done.stdout
+    assert "ca.key to none of them" in done.stdout
     assert "--host" in done.stdout
     again = played(*command)
     assert again.returncode == 2

@@ -139,7 +139,7 @@ def test_a_plain_edge_elsewhere_is_called_unprotected():
         ("viewer", {}, "name both or neither"),
         ("recorder", {}, "expected some of edge"),
         ("robot", {}, "--edge tls/HOST:7460"),
-        ("netem", {}, "netem needs one"),
+        ("netem", {}, "netem needs an edge"),
         (None, {"edge": TLS}, "edge is started here"),
         ("edge", {"edge": TLS}, "edge is started here"),
         ("router", {"edge": TLS}, "router is started here"),

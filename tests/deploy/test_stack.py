@@ -57,8 +57,8 @@ def played(stack: StackRun) -> int:
 @pytest.mark.parametrize(
     ("module", "message"),
     [
-        ("is_killed", r"robot ended \(signal 9\): everything was stopped"),
-        ("fails", "it said last: no answer"),
+        ("is_killed", r"robot ended \(signal 9\): all services were stopped"),
+        ("fails", "its last line: no answer"),
     ],
 )
 def test_a_robot_that_fails_is_an_error_with_its_reason(tmp_path, stack, module, message):

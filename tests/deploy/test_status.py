@@ -69,10 +69,10 @@ def test_an_outage_is_told_while_it_lasts_and_with_its_length_when_it_ends(event
     for first in range(100, 700, 100):
         events.take_ticks(TICKS, ticks(first, first + 99))
     # The last state came out at 89 ms.
-    assert texts(events) == ["nothing passes the uplink since 0.09 s"]
+    assert texts(events) == ["no message has passed the uplink since 0.09 s"]
     events.take_link(LINK_SCHEMA, messages((80, 620), (400, 300), (690, 11)))
     assert texts(events) == ["the uplink passes again at 0.70 s, after 0.61 s"]
-    assert events.in_words() == "uplink stood still 1 ×, at most 0.61 s"
+    assert events.in_words() == "uplink outage 1 ×, at most 0.61 s"
 
 
 def test_a_short_outage_is_told_when_it_is_over(events):
@@ -95,21 +95,21 @@ def test_an_outage_of_the_downlink_alone_is_told(events):
     passing = messages(*((sent, 10) for sent in range(80, 400)))
     events.take_link(LINK_SCHEMA, np.concatenate([passing, stalled]))
     assert texts(events) == ["the downlink passes again at 0.41 s, after 0.32 s"]
-    assert events.in_words() == "downlink stood still 1 ×, at most 0.32 s"
+    assert events.in_words() == "downlink outage 1 ×, at most 0.32 s"
 
 
 def test_a_link_that_was_cut_passes_nothing_though_messages_are_reported_lost(events):
     for first in range(100, 700, 100):
         events.take_ticks(TICKS, ticks(first, first + 99))
         events.take_link(LINK_SCHEMA, messages((first, -1), (first + 50, -1)))
-    assert texts(events) == ["nothing passes the uplink since 0.09 s"]
-    assert events.in_words() == "nothing passed the uplink since 0.09 s"
+    assert texts(events) == ["no message has passed the uplink since 0.09 s"]
+    assert events.in_words() == "no message passed the uplink after 0.09 s"
 
 
 def test_a_report_that_was_late_is_no_outage(events):
     events.take_ticks(TICKS, ticks(100, 699))
     events.take_link(LINK_SCHEMA, messages(*((sent, 10) for sent in range(80, 690))))
-    assert texts(events)[1:] == ["the uplink passes; its report was late"]
+    assert texts(events)[1:] == ["the uplink had no outage; the shim's rows came late"]
     assert events.in_words() == ""
 
 
