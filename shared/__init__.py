@@ -1,1 +1,1 @@
-"""What both ends of the link must agree on: robots, mathematics, wire format, clocks, buses."""
+"""The code that both ends of the link share: robots, mathematics, wire format, clocks, buses."""

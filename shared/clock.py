@@ -39,8 +39,8 @@ class SimClock:
 def sleep_until(due_ns: int) -> None:
     """Return soon after `due_ns` of the monotonic clock, never before; at once if it has passed.
 
-    Nothing is spun: every spun microsecond is taken from the other processes of the stack, and with
-    the timer slack that `realtime.prepare` asks for a thread wakes some 30 µs late.
+    It does not spin, because spinning takes time from the other processes of the stack. With the
+    timer slack that `realtime.prepare` asks for, a thread wakes about 30 µs late.
     """
     while (remaining_ns := due_ns - time.monotonic_ns()) > 0:
         time.sleep(remaining_ns * 1e-9)
@@ -49,10 +49,10 @@ def sleep_until(due_ns: int) -> None:
 class Ticker:
     """Absolute schedule of a periodic loop: tick k is due at start + k · period.
 
-    A tick that finishes after the next one is due is an overrun; it is counted, and the following
+    A tick that finishes after the next one is due is an overrun, and is counted. The following
     ticks run back to back until the schedule is met again, so that simulated time keeps up with the
-    wall clock. A stall longer than `max_backlog_ns` moves the schedule instead and counts the ticks
-    given up, so that one long stall does not become a burst.
+    wall clock. A tick that is late by more than `max_backlog_ns` moves the schedule instead, and
+    the ticks given up are counted. So one long halt does not become a burst.
     """
 
     def __init__(self, *, start_ns: int, period_ns: int, max_backlog_ns: int = 50_000_000) -> None:

@@ -1,4 +1,4 @@
-"""Commands of this project as a person can type them here, for hints and usage lines."""
+"""The project's commands as a user can type them here, for hints and usage lines."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ CHECKOUT = _ROOT if (_ROOT / "wbc").is_file() else None
 
 
 def wbc(arguments: str = "") -> str:
-    """`wbc` and its arguments: by its name where that is found, else by its path from here."""
+    """Return `wbc` and its arguments: by name if PATH has it, otherwise by its path from here."""
     script = (CHECKOUT or Path(sys.prefix) / "bin") / "wbc"
     return f"{_typed('wbc', script)} {arguments}".rstrip()
 
 
 def python_module(module: str, arguments: str = "") -> str:
-    """The command line that runs a module of ours: `.venv/bin/python -m netem`."""
+    """Return the command line that runs a module of the project: `.venv/bin/python -m netem`."""
     return f"{_typed('python', Path(sys.executable))} -m {module} {arguments}".rstrip()
 
 
 def _typed(name: str, program: Path) -> str:
-    """The shortest way to type a program, whose name without a path is `name`."""
+    """Return the shortest way to type a program. `name` is its name without a path."""
     found = shutil.which(name)
     if not program.exists() or (found is not None and os.path.samefile(found, program)):
         return name

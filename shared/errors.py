@@ -8,7 +8,7 @@ from __future__ import annotations
 
 
 class UserError(Exception):
-    """Bad input from a person: says what was expected, what came and what to try."""
+    """A user's mistake. The message gives the expected value, the value that came, and a remedy."""
 
 
 class ConfigError(UserError):
@@ -20,7 +20,7 @@ class ProfileError(UserError):
 
 
 class LinkError(UserError):
-    """An endpoint that cannot be opened, or nobody answering behind it."""
+    """An endpoint that cannot be opened, or at which no process answers."""
 
 
 class MessageRefused(Exception):

@@ -1,1 +1,1 @@
-"""What a person reads: reports, tables, figures, lines on a terminal."""
+"""Output for people: reports, tables, figures, lines on a terminal."""

@@ -1,4 +1,4 @@
-"""Figures into files."""
+"""Write figures into files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from shared.errors import ConfigError
 
 
 def save_figure(figure: Figure, path: Path, *, what: str, dpi: int = 110) -> None:
-    """Write a figure, its folder with it, and close it; `ConfigError`, which begins with `what`."""
+    """Write a figure and close it; make its folder if there is none.
+
+    Raise `ConfigError`, which begins with `what`, if it cannot be written.
+    """
     figure.tight_layout()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

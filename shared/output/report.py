@@ -1,4 +1,4 @@
-"""What a run came to: each process's part from its own rows, and the summary made of them."""
+"""The report of a run: a part of each process, from its rows, and the summary of all parts."""
 
 from __future__ import annotations
 
@@ -38,10 +38,11 @@ def robot_report(
     lost: int,
     refused: dict[str, int],
 ) -> dict[str, Any]:
-    """The robot's part, from its tick rows; rows before the task began are left out.
+    """Return the robot's part, from its tick rows; rows before the task began are left out.
 
-    A state is `sent` every tick: those without a row found no room in the file of a long run. They
-    count as task, while figures are of the rows, `measured_seconds` of it.
+    The robot has `sent` a state in every tick, but the file of a long run has rows of its first
+    ticks only. `task_seconds` counts all ticks, `measured_seconds` those with a row. All other
+    figures come from the rows.
     """
     unmeasured = max(0, sent - len(rows))
     rows = in_task(schema, rows)
@@ -86,7 +87,7 @@ def edge_report(
     lost: int,
     refused: dict[str, int],
 ) -> dict[str, Any]:
-    """The edge's part, from its solve rows."""
+    """Return the edge's part, from its solve rows."""
     return {
         "edge_solve_ms": quantiles(SOLVE_SCHEMA.column(rows, "solve_ns") * 1e-6),
         "edge_solves": statuses,
@@ -98,7 +99,7 @@ def edge_report(
 
 
 def link_report(rows: np.ndarray, *, profile: str, passes: int) -> dict[str, Any]:
-    """The shim's part, from its message rows: nominal delay, and achieved minus nominal."""
+    """Return the shim's part, from its message rows: nominal delay, and achieved minus nominal."""
     report: dict[str, Any] = {"profile": profile, "profile_passes": passes, "link": {}}
     directions = LINK_SCHEMA.column(rows, "direction")
     for k, name in enumerate(DIRECTIONS):
@@ -120,10 +121,10 @@ def link_report(rows: np.ndarray, *, profile: str, passes: int) -> dict[str, Any
 
 
 def discrepancy_report(schema: Schema, rows: np.ndarray, solve_rows: np.ndarray) -> dict[str, Any]:
-    """By how many rows the active sets used differ from those of the ticks' own states.
+    """Return by how many rows the active sets in use differ from the true ones.
 
-    From the tick rows and the solves there are of their states. The lists are Table VI, indexed by
-    the cardinality: how many ticks, and the mean errors at them.
+    The true active set of a tick is in the edge's solve of the tick's state, if there is one. The
+    lists are Table VI, indexed by the cardinality: the number of ticks, and their mean errors.
     """
     rows = in_task(schema, rows)
     cardinality = active_set_discrepancy(schema, rows, true_active_sets(schema, rows, solve_rows))
@@ -143,7 +144,7 @@ def _discrepancy(cardinality: np.ndarray, *errors: np.ndarray) -> dict[str, Any]
 
 
 def merge(*parts: dict[str, Any] | None) -> dict[str, Any]:
-    """Reports of several processes as one; nested maps are joined, missing parts left out."""
+    """Join the reports of several processes; nested maps are joined, missing parts left out."""
     merged: dict[str, Any] = {}
     for part in parts:
         for key, value in (part or {}).items():
@@ -162,7 +163,7 @@ def summary(
     link: dict[str, Any] | None,
     discrepancy: dict[str, Any] | None,
 ) -> dict[str, Any]:
-    """The summary of a run, with every key there even where a part is missing."""
+    """Return the summary of a run. It has every key, even if a part is missing."""
     unknown = {"sent": None, "received": None, "lost": None, "refused": None}
     skeleton = {
         "task": config.task,
@@ -180,14 +181,14 @@ def summary(
 
 
 def summary_in_words(summary: dict[str, Any]) -> str:
-    """What happened, for a person."""
+    """Return the summary as text for a person."""
     age, tick, solve = (
         summary[key] for key in ("projector_age_ms", "robot_tick_ms", "edge_solve_ms")
     )
     lines = [
         f"{'FELL' if summary['fell'] else 'Stands'} after {summary['task_seconds']:.2f} s of "
         f"{summary['task']} with {summary['controller'].upper()} over {summary['network']}",
-        "  CoM error and contact violation are without meaning after a fall"
+        "  CoM error and contact violation have no meaning after a fall"
         if summary["fell"]
         else f"  CoM error {_number(summary['com_error_m'], 'cm', 100)}, contact violation "
         f"{_number(summary['contact_violation_m_s2'], 'm/s²', digits=3)}",
@@ -197,7 +198,7 @@ def summary_in_words(summary: dict[str, Any]) -> str:
         f"max {_number(age['max'], 'ms')}",
     ]
     if summary["measured_seconds"] < summary["task_seconds"]:
-        lines.insert(1, f"  figures are of its first {summary['measured_seconds']:.2f} s")
+        lines.insert(1, f"  figures cover its first {summary['measured_seconds']:.2f} s")
     slip, wait = summary["foot_slip_mm"], summary["switch_to_fresh_ms"]
     discrepancy = summary["active_set_discrepancy"]
     differs = (
@@ -212,7 +213,7 @@ def summary_in_words(summary: dict[str, Any]) -> str:
     if facts := [*([] if summary["fell"] else [slid]), *differs]:
         lines.append(f"  {'; '.join(facts)}")
     if summary["task"] == "walk":
-        # A robot that corrects has no use for a fresh projector at a switch.
+        # A controller that corrects needs no fresh projector at a contact switch.
         waited = (
             ""
             if CONTROLLERS[summary["controller"]].corrects

@@ -1,4 +1,4 @@
-"""Whether there is a screen that a window could open on, and a terminal that can rewrite a line."""
+"""Check for a screen that can show a window, and for a terminal that can rewrite a line."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import TextIO
 
 
 def has_screen() -> bool:
-    """On Linux a display server says so; elsewhere there is one."""
+    """Return whether there is a screen: on Linux if a display server runs, elsewhere always."""
     displays = ("DISPLAY", "WAYLAND_DISPLAY")
     return sys.platform != "linux" or any(os.environ.get(name) for name in displays)
 
 
 def rewrites_lines(stream: TextIO) -> bool:
-    """Whether a line that was written can be written again in its place."""
+    """Return whether a line that was written can be written again in its place."""
     return stream.isatty() and os.environ.get("TERM") != "dumb"

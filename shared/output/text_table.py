@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 
 def aligned(lines: Sequence[Sequence[str]], *, left: int | None = None) -> list[str]:
-    """Lines of as many cells each, two spaces between columns.
+    """Return the lines with their cells in columns, two spaces apart.
 
-    The first `left` columns begin at the same place and the others, numbers, end there; None: all
-    begin there.
+    All lines have the same number of cells. The first `left` columns are aligned on the left, the
+    others, which are numbers, on the right. None: all are aligned on the left.
     """
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     n_left = len(widths) if left is None else left

@@ -1,4 +1,4 @@
-"""Python, the machine and the packages: what stands beside every number."""
+"""The versions of Python, machine and packages, which accompany every result."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Python, platform, how it rounds, and the packages that results depend on."""
+    """Return the versions of Python, platform, rounding, and packages that results depend on."""
     found = {"python": platform.python_version(), "platform": platform.platform()}
     found |= {"instructions": instruction_set(), "blas": blas_kernels()}
     found.update({name: importlib.metadata.version(name) for name in _PACKAGES})
@@ -31,8 +31,8 @@ def versions() -> dict[str, str]:
 
 
 def blas_kernels() -> str:
-    """The kernels of numpy's and scipy's BLAS libraries."""
-    # Imported here: services that only make their report should not load them at their start.
+    """Return the kernels of numpy's and scipy's BLAS libraries."""
+    # Imported here: a service needs them for its report only, not at its start.
     import scipy.linalg  # noqa: F401
     import threadpoolctl
 
@@ -46,7 +46,7 @@ def blas_kernels() -> str:
 
 
 def cpu_name() -> str:
-    """The processor's name, to stand beside any measured time."""
+    """Return the processor's name, which accompanies every measured time."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

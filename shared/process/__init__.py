@@ -1,1 +1,1 @@
-"""What every process has: its entry, its command line, its service's log, real time."""
+"""The parts that processes share: entry, command line, a service's log, real time."""

@@ -36,10 +36,10 @@ class Parser(argparse.ArgumentParser):
 
 @dataclass(frozen=True)
 class Subcommand:
-    """A subcommand: its name, what it does in a line, and the module that does it.
+    """A subcommand: its name, its help in a line, and the module that runs it.
 
-    The module has `add_NAME_arguments(parser)` and `run_NAME(arguments)`, with `stem` for NAME if
-    the command's name does not do. It is imported when the command is used.
+    The module has `add_NAME_arguments(parser)` and `run_NAME(arguments)`. NAME is `stem`, or the
+    command's name without one. The module is imported when the command is used.
     """
 
     name: str
@@ -48,11 +48,11 @@ class Subcommand:
     stem: str = ""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Give a parser the command's options."""
+        """Add the command's options to a parser."""
         self._function("add_{}_arguments")(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Run it; its exit code."""
+        """Run the command. Return its exit code."""
         code: int = self._function("run_{}")(arguments)
         return code
 
@@ -66,7 +66,7 @@ class Subcommand:
 
 @dataclass(frozen=True)
 class Group:
-    """Subcommands under a name of their own."""
+    """Subcommands under a common name."""
 
     name: str
     help: str
@@ -97,10 +97,10 @@ def command_parser(
     version: str | None = None,
     typed: Sequence[str] | None = None,
 ) -> Parser:
-    """The parser of a program of several commands.
+    """Return the parser of a program with several commands.
 
-    Only the command that is `typed` gets its options, and all of them if None: options take as long
-    as importing what they are of.
+    Only the command that is `typed` gets its options; None: all commands get them. The options of a
+    command need its module, which takes long to import.
     """
     parser = Parser(prog=wbc(group), description=description)
     if version is not None:
@@ -128,7 +128,7 @@ def _add_commands(
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options that describe a run; each overrides the configuration file."""
+    """Add the options that describe a run. Each overrides the configuration file."""
     group = parser.add_argument_group("the run (flags override --config)")
     group.add_argument("--config", metavar="FILE.toml", help="settings; see docs/configuration.md")
     walk = parser.add_argument_group("the walk (with --task walk)")
@@ -138,12 +138,12 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     walk.add_argument(
         "--on-board-delay",
         metavar="25ms",
-        help="a full QP on board is ready that long after its state (Table III: as the link's)",
+        help="time from a state to its full QP's solution on board (Table III: the link's delay)",
     )
 
 
 def add_view_argument(parser: argparse.ArgumentParser) -> None:
-    """The choice of a live view."""
+    """Add the option for the live view."""
     _add_flag(parser, SETTINGS[_VIEW])
 
 
@@ -163,7 +163,7 @@ def _add_flag(group: argparse._ActionsContainer, setting: Setting) -> None:
 
 
 def _given(arguments: argparse.Namespace, key: str, setting: Setting) -> Any:
-    """The value of a setting on the command line; None where its flag is not given."""
+    """Return the value of a setting on the command line; None if its flag is not given."""
     value = getattr(arguments, setting.flag.removeprefix("--").replace("-", "_"), None)
     if setting.kind is not tuple or value is None or "none" not in value:
         return value
@@ -173,7 +173,7 @@ def _given(arguments: argparse.Namespace, key: str, setting: Setting) -> Any:
 
 
 def config_from(arguments: argparse.Namespace) -> RunConfig:
-    """The run that the arguments describe."""
+    """Return the settings of the run that the arguments describe."""
     from shared.config.config_file import load_config
 
     given = {key: _given(arguments, key, each) for key, each in _FLAGGED.items()}
@@ -185,14 +185,14 @@ def config_from(arguments: argparse.Namespace) -> RunConfig:
     config = load_config(arguments.config, overrides)
     walking = [key for key in overrides if key.startswith(("walk.", "switch."))]
     if walking and config.task != "walk":
-        raise ConfigError(f"{walking[0]}: only a walk has it; add --task walk")
+        raise ConfigError(f"{walking[0]}: only a walk has this setting; add --task walk")
     return config
 
 
 def run(main: Callable[[], int]) -> NoReturn:
-    """Exit with what `main` returns; a user's mistake is one line on standard error."""
+    """Exit with the code that `main` returns; print a user's mistake as one line."""
     before = signal.getsignal(signal.SIGINT)
-    # So far, and after `main`, an interrupt ends the process silently: see `shared.process.entry`.
+    # Before and after `main`, an interrupt ends the process silently: see `shared.process.entry`.
     silent = before not in (signal.SIG_IGN, signal.SIG_DFL, signal.default_int_handler)
     try:
         if silent:
@@ -205,11 +205,11 @@ def run(main: Callable[[], int]) -> NoReturn:
     except KeyboardInterrupt:
         code = EXIT_INTERRUPTED
     except BrokenPipeError:
-        # Whoever read our output has left; nothing more can be said.
+        # The reader of the output has left, so no message can reach it.
         _give_up_output()
         code = EXIT_ERROR
     except OSError as error:
-        # One of a file is the user's mistake in words by now: this is of the output itself.
+        # Errors of files have become user errors by now. This one is of the output itself.
         if error.filename is not None or error.errno not in _OUTPUT_ERRORS:
             raise
         _give_up_output()
@@ -221,5 +221,5 @@ def run(main: Callable[[], int]) -> NoReturn:
 
 
 def _give_up_output() -> None:
-    """Let what is left in standard output's buffer go nowhere."""
+    """Discard the rest of standard output's buffer."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,7 +1,6 @@
-"""A process of ours as it begins, and the command line that starts one: the caller's environment
-reaches neither.
+"""Separate a process of the project from its caller's environment, and start such processes.
 
-`enter()` is called by `remote_wbc.begin`, in isolated mode and before numpy and zenoh are imported.
+`remote_wbc.begin` calls `enter()`, in isolated mode and before numpy and zenoh are imported.
 """
 
 from __future__ import annotations
@@ -18,32 +17,33 @@ EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 
 _LIBRARY_PATH = "LD_LIBRARY_PATH"
-# Of those that bring libraries of their own, the ones whose version decides what is computed.
+# The packages with native libraries whose versions decide the results.
 _OWN = ("numpy", "pinocchio", "zenoh")
 
 
 def python(*arguments: str) -> list[str]:
-    """The command line of a Python like this one, isolated, with UTF-8 and unbuffered output."""
+    """Return the command line of this Python, isolated, with UTF-8 and unbuffered output."""
     return [sys.executable, "-I", "-X", "utf8", "-u", *arguments]
 
 
 def enter() -> None:
-    """Prepare this process; ends it with one line if a package is not of its own environment."""
+    """Prepare this process; end it with one line if a package is not of this environment."""
     _open_standard_streams()
     end_at_interrupt(EXIT_INTERRUPTED)
     _leave_foreign_libraries()
     import shared.process.native_libraries  # noqa: F401
 
     for stream in (sys.stdout, sys.stderr):
-        # A terminal that cannot show a character shows another.
+        # A character that the terminal cannot show is replaced.
         stream.reconfigure(errors="replace")  # type: ignore[union-attr]
     _check_packages()
 
 
 def end_at_interrupt(code: int) -> None:
-    """Have Ctrl-C end this process at once and silently, with an exit code.
+    """Make Ctrl-C end this process at once and silently, with an exit code.
 
-    For the time while nothing has begun, or all has ended. Where it is ignored it stays so.
+    This is for the time before a command begins and after its end. If Ctrl-C is ignored, it stays
+    ignored.
     """
 
     def end(number: int, frame: FrameType | None) -> NoReturn:
@@ -55,7 +55,10 @@ def end_at_interrupt(code: int) -> None:
 
 
 def _open_standard_streams() -> None:
-    """Stand-ins for closed ones: else the next file or socket takes a number that is printed to."""
+    """Open the null device in place of closed standard streams.
+
+    Otherwise the next file or socket takes the number of a stream, and prints go into it.
+    """
     for number in range(3):
         try:
             os.fstat(number)
@@ -70,9 +73,10 @@ def _open_standard_streams() -> None:
 
 
 def _leave_foreign_libraries() -> None:
-    """Start again without the folders of LD_LIBRARY_PATH that hold libraries of a name of ours.
+    """Start again without the folders of LD_LIBRARY_PATH that would replace a package's library.
 
-    The loader prefers them to those beside our packages; a workspace of ROS has its own Pinocchio.
+    The loader prefers a library there to one of the same name beside a package. A workspace of ROS,
+    for example, has its own Pinocchio.
     """
     folders = os.environ.get(_LIBRARY_PATH, "").split(":")
     if folders == [""]:
@@ -105,7 +109,7 @@ def _names_in(folder: str) -> list[str]:
 
 
 def _check_packages() -> None:
-    """One line and the end if a package is missing or comes from elsewhere."""
+    """End the process with one line if a package is missing or of another environment."""
     for name in _OWN:
         spec = importlib.util.find_spec(name)
         if spec is None or spec.origin is None:
@@ -116,8 +120,8 @@ def _check_packages() -> None:
 
 def _refuse(name: str, found: str) -> NoReturn:
     print(
-        f"error: expected the package {name} in {sys.prefix}, {found}; ./deploy/setup installs all "
-        "that is needed into .venv, and .venv/bin/python finds it there",
+        f"error: expected the package {name} in {sys.prefix}, {found}; run ./deploy/setup, which "
+        "installs all packages into .venv, and use .venv/bin/python",
         file=sys.stderr,
     )
     raise SystemExit(EXIT_ERROR)

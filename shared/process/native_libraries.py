@@ -1,14 +1,14 @@
-"""Importing this first sets what native libraries read once, when they are loaded.
+"""Importing this module sets the variables that native libraries read when they are loaded.
 
 Threads: BLAS worker threads cost more than they give on matrices this small, and ruin a 1 kHz loop.
 Zenoh's default of six runtime threads costs a fifth more processor time than one, in wake-ups.
 
 Rounding: OpenBLAS has a kernel for each family of processors, and each rounds in its own way. One
 kernel on every x86-64 processor with AVX2 makes a simulated trial the same to the last bit on all
-of them, at no cost that was measured (`docs/reproduction.md`).
+of them. No cost was measured (`docs/reproduction.md`).
 
-Drawing: figures go into files, and MuJoCo draws nothing, so that neither depends on a screen, nor
-on what the caller draws with.
+Drawing: figures go into files, and MuJoCo draws nothing. So neither depends on a screen, nor on the
+caller's settings for drawing.
 
 Every entry point imports this before numpy, zenoh, mujoco and matplotlib.
 """
@@ -18,13 +18,16 @@ import platform
 from pathlib import Path
 
 AVX2, KERNEL = "x86-64 with AVX2", "Haswell"
-# What OpenBLAS picks on a processor newer than that, or what is set for all programs of a machine.
-# An older kernel that somebody asks for is a trial of other rounding, and is left alone.
+# Kernels that OpenBLAS picks on newer processors, or that a machine sets for all programs. KERNEL
+# replaces them. An older kernel is kept: a user sets it to try another rounding.
 _NEWER = ("zen", "skylakex", "cooperlake", "sapphirerapids")
 
 
 def instruction_set(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    """The processor's instructions as far as rounding depends on them; AVX2 as Linux tells it."""
+    """Return the processor's instruction set, as far as rounding depends on it.
+
+    AVX2 is known on Linux only.
+    """
     if platform.machine() not in ("x86_64", "AMD64"):
         return platform.machine()
     try:

@@ -12,11 +12,12 @@ _PR_SET_TIMERSLACK = 29
 
 
 def prepare(*, priority: int) -> str:
-    """Precise timers and real-time scheduling (SCHED_FIFO at `priority`); returns what was got.
+    """Ask for precise timers and real-time scheduling. Return the scheduling in words.
 
-    Called before a bus is opened, so that the bus's own threads inherit both. Without permission
-    the process runs as any other, and says so. Memory is not locked: that made every allocation
-    fault its pages in at once and cost more than it saved (`docs/timing.md`).
+    Real-time scheduling is SCHED_FIFO at `priority`; without permission the process keeps ordinary
+    scheduling. Call this before a bus is opened, so that the bus's threads inherit both. Memory is
+    not locked: with locked memory every allocation faulted its pages in at once, which cost more
+    than it saved (`docs/timing.md`).
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
@@ -28,14 +29,14 @@ def prepare(*, priority: int) -> str:
 
 
 def usable_cores() -> int:
-    """How many cores this process may run on."""
+    """Return the number of cores that this process may run on."""
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def wakes_late_ns(*, sleeps: int = 50, sleep_ns: int = 500_000) -> int:
-    """How late a sleeping thread of this process wakes here [ns]: nine of ten times no later."""
+    """Measure how late a sleeping thread of this process wakes: the 90th percentile [ns]."""
     late = []
     for _ in range(sleeps):
         due_ns = time.monotonic_ns() + sleep_ns
@@ -45,7 +46,7 @@ def wakes_late_ns(*, sleeps: int = 50, sleep_ns: int = 500_000) -> int:
 
 
 def suspend_garbage_collection() -> None:
-    """No collector pauses from here on: loops allocate no cycles."""
+    """Switch off the garbage collector, so that it pauses no loop. Loops allocate no cycles."""
     gc.collect()
     gc.freeze()
     gc.disable()

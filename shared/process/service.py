@@ -1,6 +1,6 @@
-"""What every process of the stack shares: flags, name, stop signal, telemetry hub, its files.
+"""The parts that the stack's processes share: flags, name, stop signal, telemetry hub, files.
 
-A service prints `READY …` once it can be used; whoever supervises it waits for that line.
+A service prints `READY …` once it can be used; its supervisor waits for that line.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ class StopSignal:
 
 
 def add_service_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where a service reports to and leaves its files, and how it is known on the link."""
+    """Add the options for a service's files, its telemetry hub and its name on the link."""
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for this process's files")
     parser.add_argument(
-        "--telemetry", metavar="ENDPOINT", help="hub to publish measurements to, never the link"
+        "--telemetry", metavar="ENDPOINT", help="hub for measurements, which never cross the link"
     )
     add_held_argument(parser)
     add_identity_arguments(parser)
 
 
 def add_held_argument(parser: argparse.ArgumentParser) -> None:
-    """Whether to wait, once loaded."""
+    """Add the option to wait once the process has loaded."""
     parser.add_argument(
         "--held",
         action="store_true",
@@ -63,21 +63,24 @@ def add_held_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def wait_while_held(arguments: argparse.Namespace) -> None:
-    """With `--held`, until standard input ends. Called while a signal still ends the process."""
+    """With `--held`, wait until standard input ends.
+
+    Call this while a signal still ends the process.
+    """
     if arguments.held:
         sys.stdin.read()
 
 
 def add_identity_arguments(parser: argparse._ActionsContainer) -> None:
-    """A robot's name and the certificates; of a parser or a group."""
+    """Add the options for a robot's name and the certificates to a parser or a group."""
     parser.add_argument(
-        "--name", help="of the robot on the link, so that there may be several of a kind"
+        "--name", help="the robot's name on the link, to tell several robots of a kind apart"
     )
     add_secure_argument(parser)
 
 
 def add_secure_argument(parser: argparse._ActionsContainer) -> None:
-    """The folder of certificates; of a parser or a group."""
+    """Add the option for the folder of certificates to a parser or a group."""
     parser.add_argument(
         "--secure",
         metavar="DIR",
@@ -98,7 +101,10 @@ class Identity:
 
 
 def identity_from(arguments: argparse.Namespace, *, role: str | None, kind: str) -> Identity:
-    """Who a service is. `role` None: the robot itself; `kind` of robot: its name unless given."""
+    """Return the identity of a service; `role` None is the robot itself.
+
+    The robot's name is that of its `kind`, unless --name gives another.
+    """
     robot: str = arguments.name or kind
     robots_role = robot_role(robot)
     if arguments.secure is None:
@@ -107,9 +113,9 @@ def identity_from(arguments: argparse.Namespace, *, role: str | None, kind: str)
 
 
 class ServiceLog:
-    """Rows of one service: on file while it runs, then Parquet and a JSON report in its folder.
+    """The rows of one service: in a file while it runs, then as Parquet with a JSON report.
 
-    Without a folder the rows live in a temporary file, long enough to make the report.
+    Without a folder `out`, the rows are in a temporary file until the report is made.
     """
 
     def __init__(
@@ -128,7 +134,7 @@ class ServiceLog:
             except OSError as error:
                 raise ConfigError(f"out: cannot create {out}: {error.strerror}") from None
         self._folder = out if out is not None else Path(self._temporary.name)
-        # Those who watch see the rows that the file has no room for.
+        # Rows for which the file has no room are still published.
         path = self._folder / f"{name}.rows"
         self.rows = RowLog(schema, path=path, publish=publish, at_most=_MAX_ROWS)
 
@@ -137,9 +143,9 @@ class ServiceLog:
         return self.rows.row()
 
     def finish(self, report: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """End the log, turn its rows into Parquet, write and return `report(rows)`.
+        """End the log, write its rows as Parquet, write and return `report(rows)`.
 
-        `ConfigError` if the disk took less than that.
+        Raise `ConfigError` if the disk did not take all of it.
         """
         self.rows.close()
         rows = self.rows.rows()
@@ -159,6 +165,6 @@ class ServiceLog:
         if failure is not None:
             raise ConfigError(
                 f"out: cannot write all of {self.name}'s files into {self._folder}: "
-                f"{failure.strerror or failure}; expected a disk with room for them"
+                f"{failure.strerror or failure}; free space on the disk, or try another --out"
             )
         return result

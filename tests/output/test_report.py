@@ -90,7 +90,7 @@ def test_of_a_run_longer_than_its_file_the_time_is_told_and_how_much_of_it_was_m
         summary(RunConfig(), robot=report, edge=None, link=None, discrepancy=None)
     )
     assert words.startswith("Stands after 0.10 s")
-    assert "figures are of its first 0.03 s" in words
+    assert "figures cover its first 0.03 s" in words
 
 
 def test_a_run_that_never_began_reports_nothing_and_does_not_fail():
