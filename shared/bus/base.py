@@ -1,7 +1,8 @@
-"""What a node needs of a bus, and how messages are counted on the way.
+"""The interface between a node and a bus, and the counts of messages on the way.
 
-Every message carries an `Envelope` outside its payload: who sent it, its number, and when. That is
-enough to count losses and to delay a message from the moment it was sent, without looking inside.
+Every message carries an `Envelope` outside its payload: its sender, its number, and its time of
+sending. That is enough to count losses and to delay a message from the moment it was sent, without
+reading the payload.
 """
 
 from __future__ import annotations
@@ -16,8 +17,11 @@ _ENVELOPE = struct.Struct("<IIqI")
 
 
 class Envelope(NamedTuple):
-    """`session` tells one publisher from another, `sequence` counts its messages, `sent_ns` is its
-    clock when it sent, `clock` names that clock: two machines have different ones.
+    """The sender, number and time of a message.
+
+    `session` tells one publisher from another, and `sequence` counts its messages. `sent_ns` is the
+    publisher's clock when it sent. `clock` identifies that clock, because machines have different
+    ones.
     """
 
     session: int
@@ -26,12 +30,12 @@ class Envelope(NamedTuple):
     clock: int
 
     def encode(self) -> bytes:
-        """Twenty bytes."""
+        """Return the envelope as twenty bytes."""
         return _ENVELOPE.pack(*self)
 
     @staticmethod
     def decode(data: bytes | None) -> Envelope | None:
-        """None if the bytes are not an envelope."""
+        """Return the envelope; None if the bytes are not one."""
         if data is None or len(data) != _ENVELOPE.size:
             return None
         return Envelope(*_ENVELOPE.unpack(data))
@@ -45,7 +49,7 @@ class Delivery(NamedTuple):
 
 
 class Publisher(Protocol):
-    """Publishes on one key. Never blocks and never raises when nobody listens."""
+    """Publishes on one key. Without a subscriber it neither blocks nor raises."""
 
     sent: int
 
@@ -74,7 +78,7 @@ class ReceptionCounter:
         self._spans: dict[int, tuple[int, int, int]] = {}
 
     def count(self, envelope: Envelope | None) -> None:
-        """Take note of one arrival."""
+        """Count one arrival."""
         self.received += 1
         if envelope is None:
             return
@@ -84,18 +88,19 @@ class ReceptionCounter:
 
     @property
     def lost(self) -> int:
-        """Numbers missing between the first and the last one seen of every publisher."""
+        """The count of numbers missing between the first and the last one of each publisher."""
         return sum(
             max(0, last - first + 1 - arrived) for first, last, arrived in self._spans.values()
         )
 
 
 class Inbox:
-    """Holds the newest message of each publisher since the last look.
+    """Holds the newest message of each publisher since the last `take`.
 
-    `put` runs on the bus's thread, the rest on the node's. At an outage's end hundreds of messages
-    arrive at once: the counter sees them all, the node works on the newest. Messages without an
-    envelope are nobody's of ours; a bounded number is kept, so that they are refused and counted.
+    `put` runs on the bus's thread, the other methods on the node's. At the end of an outage
+    hundreds of messages arrive at once: all are counted, and the node works on the newest. Messages
+    without an envelope come from other programs. A bounded number of them is kept, so that the node
+    refuses and counts them.
     """
 
     _MAX_PUBLISHERS = 8
@@ -109,7 +114,7 @@ class Inbox:
         self._arrived = threading.Event()
 
     def put(self, delivery: Delivery) -> None:
-        """Take an arrival in."""
+        """Count a message and hold it."""
         envelope = delivery.envelope
         with self._lock:
             self.counter.count(envelope)
@@ -128,7 +133,7 @@ class Inbox:
         self._arrived.set()
 
     def take(self) -> list[bytes]:
-        """Messages to look at since the last call."""
+        """Return the messages held since the last call."""
         self._arrived.clear()
         if not self._newest and not self._strangers:
             return []

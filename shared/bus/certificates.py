@@ -1,4 +1,4 @@
-"""Whether the certificate and the key of a role can be used."""
+"""Check that the certificate and the key of a role can be used."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _REMEDY = "copy it from where `wbc keys` made it"
 
 
 def check_files(folder: Path, role: str) -> None:
-    """Check the files of a role; `ConfigError` unless they belong together and are valid today."""
+    """Check that the files of a role belong together and are valid now; `ConfigError` if not."""
     if not folder.is_dir():
         raise ConfigError(
             f"secure: expected a folder of certificates, {folder} is none; make them with "

@@ -1,4 +1,4 @@
-"""Endpoints as Zenoh writes them: `PROTOCOL/HOST:PORT`, and its own settings after a #."""
+"""Endpoints in Zenoh's form: `PROTOCOL/HOST:PORT`, and Zenoh's settings after a #."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ class Endpoint:
 
     @property
     def secured(self) -> bool:
-        """Whether this protocol has certificates."""
+        """Return whether the protocol has certificates."""
         return self.protocol in SECURE_PROTOCOLS
 
     @property
     def on_loopback(self) -> bool:
-        """Whether only this machine can be meant."""
+        """Return whether the endpoint is on this machine only."""
         return self.port == 0 or _LOOPBACK.fullmatch(self.host) is not None
 
     @property
     def dialled_here(self) -> Endpoint:
-        """Where this machine reaches what listens on this endpoint."""
+        """The endpoint at which this machine reaches a process that listens on this one."""
         if self.host not in ("0.0.0.0", "::"):
             return self
         return Endpoint(self.protocol, "127.0.0.1", self.port, self.settings)
@@ -48,7 +48,10 @@ class Endpoint:
 
 
 def parse_endpoint(text: str, *, secured: bool) -> Endpoint:
-    """The parts; `LinkError` if it is none, or if certificates and protocol do not go together."""
+    """Return the parts of an endpoint.
+
+    Raise `LinkError` if the text is no endpoint, or if its protocol does not fit `secured`.
+    """
     match = _SHAPE.fullmatch(text)
     file = _SOCKET_FILE.fullmatch(text)
     if match is not None and int(match[3]) in range(1, 65536):

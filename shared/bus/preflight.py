@@ -1,7 +1,7 @@
-"""What is at an endpoint, in words for a person: why is nobody answering?
+"""Find out why no connection to an endpoint comes about, and say it in words.
 
-Zenoh tries again in silence. This opens one connection of its own, up to the TLS handshake, and
-says how far it came. Nothing is sent.
+Zenoh tries again in silence. This module opens one connection itself, up to the TLS handshake, and
+says how far it came. It sends no message.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from shared.bus.security import Credentials
 from shared.errors import LinkError
 
 _SECONDS = 2.0
-# A server's refusal of our certificate comes after our handshake is over (TLS 1.3).
+# A server refuses the client's certificate after the client's handshake is over (TLS 1.3).
 _REFUSAL_SECONDS = 0.3
 _DATAGRAM = ("quic", "udp")
 _SAME_EDGE = (
@@ -24,12 +24,13 @@ _SAME_EDGE = (
 
 
 def preflight(endpoint: str, credentials: Credentials | None) -> str:
-    """How far a connection to `endpoint` comes; `LinkError` if waiting cannot help, because one
-    end refuses the other's certificate.
+    """Return in words how far a connection to `endpoint` comes.
+
+    Raise `LinkError` if waiting cannot help, because one end refuses the other's certificate.
     """
     where = parse_endpoint(endpoint, secured=credentials is not None)
     if where.port == 0:
-        return f"{endpoint} was tried in vain"
+        return f"{endpoint} accepts no connection; start the edge there"
     host, port = where.host, where.port
     try:
         family, kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
@@ -61,7 +62,10 @@ def preflight(endpoint: str, credentials: Credentials | None) -> str:
 
 
 def _shake_hands(plain: socket.socket, host: str, endpoint: str, credentials: Credentials) -> bool:
-    """Whether there is TLS; `LinkError` if one end refuses the other's certificate."""
+    """Return whether the server speaks TLS.
+
+    Raise `LinkError` if one end refuses the other's certificate.
+    """
     try:
         secured = credentials.client_context().wrap_socket(plain, server_hostname=host)
     except TimeoutError:

@@ -1,12 +1,12 @@
-"""Who may say what to whom: certificates for mutual TLS, and the keys each neighbour may use.
+"""Access rules: certificates for mutual TLS, and the keys that each neighbour may use.
 
 Every process has a role, which is the common name of its certificate: `edge`, `netem`, `router` or
-`robot-NAME`. A neighbour proves its role in the TLS handshake; what it may then send and receive is
-a `Grant`. Everything that no grant names is refused, by the process that receives it and by the one
-that would send it.
+`robot-NAME`. A neighbour proves its role in the TLS handshake. A `Grant` says which keys it may
+then send and receive. A message without a grant is refused, both by the process that receives it
+and by the process that would send it.
 
-Files, in one folder, made by `deploy/keys`: `ca.crt`, `ROLE.crt`, `ROLE.key`. Not here: the
-telemetry hub, which is on loopback and has no say in the control of anything.
+The files are in one folder, made by `deploy/keys`: `ca.crt`, `ROLE.crt`, `ROLE.key`. The telemetry
+hub has no access rules: it is on loopback and controls nothing.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,30}")
 
 
 def certificate_file(folder: Path, role: str) -> Path:
-    """Where the certificate of a role is."""
+    """Return the path of a role's certificate."""
     return folder / f"{role}.crt"
 
 
 def key_file(folder: Path, role: str) -> Path:
-    """Where the private key of a role is."""
+    """Return the path of a role's private key."""
     return folder / f"{role}.key"
 
 
 def robot_role(name: str) -> str:
-    """The role of a robot; `ConfigError` if the name cannot be part of a key."""
+    """Return the role of a robot; raise `ConfigError` if its name cannot be part of a key."""
     if not _NAME.fullmatch(name):
         raise ConfigError(
             f"name: expected small letters, digits, - and _, at most 31 of them, got {name!r}"
@@ -57,10 +57,10 @@ class Grant:
 
 
 def grants(role: str, robots: tuple[str, ...]) -> tuple[Grant, ...]:
-    """What the neighbours of a role may do, where `robots` may come near it.
+    """Return the grants of a role's neighbours, if the role deals with `robots`.
 
-    States travel from robots to the edge, projectors back. A robot has its own keys only. The shim
-    is the edge to the robot and the robot to the edge, and so is the router.
+    States travel from robots to the edge, projectors back. A robot has its own keys only. Towards
+    the robot, the shim has the edge's place, and towards the edge the robot's. So has the router.
     """
 
     def towards_robot(neighbour: str, robot: str) -> Grant:
@@ -83,7 +83,7 @@ def grants(role: str, robots: tuple[str, ...]) -> tuple[Grant, ...]:
 
 @dataclass(frozen=True)
 class Credentials:
-    """Files that prove a role, checked; `robots` that it has to do with."""
+    """The checked files that prove a role, and the `robots` that the role deals with."""
 
     role: str
     folder: Path
@@ -91,8 +91,9 @@ class Credentials:
 
     @staticmethod
     def load(folder: Path, role: str, *, robots: tuple[str, ...] | None = None) -> Credentials:
-        """Credentials of a role that deals with `robots`; None: those with a certificate in the
-        folder. `ConfigError` says which file is missing, has expired or does not belong.
+        """Return the credentials of a role; `robots` None: all with a certificate in the folder.
+
+        Raise `ConfigError` if a file is missing, has expired or does not belong to the role.
         """
         # Imported here: it takes long, and only secured connections need it.
         from shared.bus.certificates import check_files
@@ -104,7 +105,7 @@ class Credentials:
         return Credentials(role, folder, robots)
 
     def settings(self) -> dict[str, Any]:
-        """Zenoh's settings for mutual TLS and access control."""
+        """Return Zenoh's settings for mutual TLS and access control."""
         certificate, key = self._files
         tls = {
             "root_ca_certificate": str(certificate_file(self.folder, AUTHORITY)),
@@ -122,7 +123,10 @@ class Credentials:
         }
 
     def _access_control(self) -> dict[str, Any]:
-        """Default deny; a key flows one way if its messages and the subscription to it may."""
+        """Return Zenoh's access rules: deny by default, and two permissions for each key and way.
+
+        The permissions are for its messages and for the subscription to it.
+        """
         granted = grants(self.role, self.robots)
         rules, policies = [], []
         for number, grant in enumerate(granted):
@@ -133,7 +137,7 @@ class Credentials:
                 _rule(ids[1], ["put"], "egress", grant.sends),
                 _rule(ids[1] + "-asked", ["declare_subscriber"], "ingress", grant.sends),
             ]
-            # A policy that names a rule or subject which does not exist is taken in silence.
+            # Zenoh accepts in silence a policy that names a missing rule or subject.
             policies.append(
                 {
                     "rules": [rule["id"] for rule in rules[-4:]],
@@ -151,7 +155,7 @@ class Credentials:
         }
 
     def client_context(self) -> ssl.SSLContext:
-        """For a TLS client that proves this role."""
+        """Return the context of a TLS client that proves this role."""
         context = ssl.create_default_context(cafile=str(certificate_file(self.folder, AUTHORITY)))
         context.load_cert_chain(*self._files)
         return context

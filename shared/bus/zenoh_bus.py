@@ -1,9 +1,9 @@
 """The bus over a network: Zenoh, configured for newest-wins control traffic.
 
-Explicit endpoints only (no multicast, no gossip), so that two processes talk through what stands
-between them and through nothing else. Shared memory is off: it would bypass the link. Publishers
-send at real-time priority, without batching, and drop rather than wait; only the shim waits, which
-lets out hundreds of messages at the end of an outage. With credentials, every connection is mutual
+Endpoints are explicit (no multicast, no gossip), so that two processes talk only through the
+processes between them. Shared memory is off: it would bypass the link. Publishers send at real-time
+priority, without batching, and drop a message rather than wait. Only the shim waits, because it
+releases hundreds of messages at the end of an outage. With credentials, every connection is mutual
 TLS and every key is granted by name: `shared/bus/security.py`.
 """
 
@@ -25,22 +25,23 @@ from shared.bus.preflight import preflight
 from shared.bus.security import Credentials
 from shared.errors import LinkError
 
-# A slow link should lose messages, not store them up: what waits here is old when it arrives. So
-# few batches wait in the process (Zenoh's two lose bursts of 40 kB messages), and the send buffer
-# in the kernel, which doubles it, is small. Smaller than what is under way on the path, it would
-# make messages wait for acknowledgements instead: these are what 1 MB/s of states take at a round
-# trip of 30 ms, and 100 Mbit/s of projectors at 10 ms. Measured: docs/real-network.md.
+# A slow link should lose messages, not store them: a message that waits here is old when it
+# arrives. So few batches wait in the process (Zenoh's default of two loses bursts of 40 kB
+# messages), and the kernel's send buffer is small (the kernel doubles the size asked for). If it
+# held less than the bytes under way on the path, messages would wait for acknowledgements. These
+# sizes are for 1 MB/s of states at a round trip of 30 ms, and 100 Mbit/s of projectors at 10 ms.
+# Measured: docs/real-network.md.
 _LINK_BATCHES, _LOCAL_BATCHES = 4, 16
 _SMALL_MESSAGE = 1_000
 _SMALL_SEND_BUFFER, _SEND_BUFFER, _LOCAL_SEND_BUFFER = 32_768, 131_072, 262_144
 # A robot that has lost its edge cannot wait for Zenoh's four seconds between two attempts.
 _RETRY = {"period_init_ms": 200, "period_max_ms": 500, "period_increase_factor": 2}
-# Long enough for a TLS handshake over a link that stalls; a signal to stop is seen in between.
+# Long enough for a TLS handshake over a link that stalls. Between attempts, a stop signal is seen.
 _ATTEMPT_SECONDS = 3.0
 
 
 def machine_clock() -> int:
-    """A number that names this machine's monotonic clock: equal in two processes of one boot."""
+    """Return a number for this machine's monotonic clock, the same in every process of a boot."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
     except OSError:
@@ -49,11 +50,12 @@ def machine_clock() -> int:
 
 
 class ZenohBus:
-    """One Zenoh session. `LinkError` if an endpoint cannot be used.
+    """One Zenoh session. Raises `LinkError` if an endpoint cannot be used.
 
-    A `peer` speaks to those it is joined to, a `client` to all behind the one node it has dialled,
-    a `router` carries messages between its clients. `largest` is the bound [bytes] of what it sends
-    over a link, where buffers are small; without it nothing is slow. `settings` are Zenoh's own.
+    A `peer` speaks to the nodes to which it is connected, a `client` to all nodes behind the one
+    that it has dialled. A `router` carries messages between its clients. `largest` is the maximum
+    size of a message over a link [bytes], and makes buffers small; None: the session is local.
+    `settings` are further settings of Zenoh.
     """
 
     def __init__(
@@ -109,11 +111,11 @@ class ZenohBus:
         credentials: Credentials | None = None,
         stopping: Callable[[], bool] = lambda: False,
     ) -> ZenohBus:
-        """A client of the node at `endpoint`, an edge, a shim or a router, and of all behind it.
+        """Return a client of the node at `endpoint`: an edge, a shim or a router.
 
-        Tries for `within` [s]; then `LinkError` says what is at the endpoint instead. An end that
-        refuses the other's certificate is said at once. `KeyboardInterrupt` once `stopping()`.
-        A connection that is lost later is made again by itself.
+        Try for `within` [s], then raise `LinkError` with the finding of `preflight`. Raise it at
+        once if an end refuses the other's certificate. Raise `KeyboardInterrupt` when `stopping()`
+        is true. A connection that is lost later is made again automatically.
         """
         deadline = time.monotonic() + within
         while True:
@@ -137,7 +139,7 @@ class ZenohBus:
                     raise LinkError(f"no connection within {within:g} s: {found}") from None
 
     def publisher(self, key: str, *, wait_when_full: bool = False) -> ZenohPublisher:
-        """A publisher that drops a message it cannot send at once, or one that waits."""
+        """Return a publisher that drops a message it cannot send at once, or one that waits."""
         publisher = ZenohPublisher(
             self._session, key, clock=self._clock, wait_when_full=wait_when_full
         )
@@ -150,7 +152,7 @@ class ZenohBus:
             envelope = Envelope.decode(attachment.to_bytes() if attachment is not None else None)
             receive(Delivery(sample.payload.to_bytes(), envelope))
 
-        # On Zenoh's own thread: one hop less, and `receive` returns at once.
+        # Called on Zenoh's thread, which saves a hop: `receive` returns at once.
         direct = zenoh.handlers.Callback(callback, indirect=False)
         self._declared.append(self._session.declare_subscriber(key, direct))
 
@@ -189,13 +191,13 @@ class ZenohPublisher:
 
 
 def _buffers(largest: int | None) -> tuple[int, int]:
-    """Batches that may wait in the process, and the send buffer in the kernel [bytes]."""
+    """Return how many batches may wait in the process, and the kernel's send buffer [bytes]."""
     if largest is None:
         return _LOCAL_BATCHES, _LOCAL_SEND_BUFFER
     return _LINK_BATCHES, _SMALL_SEND_BUFFER if largest <= _SMALL_MESSAGE else _SEND_BUFFER
 
 
 def _cause(error: Exception) -> str:
-    """The first clause of Zenoh's error, without source locations."""
+    """Return the first line of Zenoh's error, without source locations."""
     text = re.sub(r"\s+at \S+\.rs:\d+\.?", "", str(error))
     return text.strip().rstrip(".").splitlines()[0][:200]

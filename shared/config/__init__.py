@@ -1,1 +1,1 @@
-"""Settings: what they are, how they are read, and the quantities in their texts."""
+"""Settings: their definitions, their files, and quantities with units."""

@@ -1,6 +1,6 @@
-"""A `RunConfig` from a TOML file and overrides, and back.
+"""Read a `RunConfig` from a TOML file and overrides, and write one.
 
-An unknown key or a value of the wrong type is a `ConfigError` that names what is valid.
+An unknown key or a value of the wrong type is a `ConfigError` that names the valid ones.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from shared.robots import description_of
 
 
 def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None) -> RunConfig:
-    """A `RunConfig` from a TOML file (None: defaults), with dotted-key overrides on top.
+    """Return the settings of a TOML file (None: the defaults), with dotted-key overrides on top.
 
     Keys under `[versions]`, which a run writes into its own copy, are ignored.
     """
@@ -38,15 +38,15 @@ def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None
 
 
 def _defaults(table: dict[str, Any]) -> dict[str, Any]:
-    """What the task and then the robot that `table` names change of the defaults."""
+    """Return the defaults that the task, and then the robot, of `table` change."""
     task, robot = table.get("task", RunConfig.task), table.get("robot", {})
     name = robot.get("name", RobotConfig.name) if isinstance(robot, dict) else None
     if not (isinstance(task, str) and isinstance(name, str)):
-        return {}  # `_build` says what is wrong with it
+        return {}  # `_build` refuses it
     return _merged(_PRESETS.get(task, {}), description_of(name).settings.get(task, {}))
 
 
-# What a task changes of the defaults; its robot, a file and flags come on top.
+# The defaults that a task changes; the robot, a file and flags come on top.
 _PRESETS: dict[str, dict[str, Any]] = {
     "walk": {
         "push": [],
@@ -74,7 +74,7 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
 
 
 def dump_config(config: RunConfig, *, versions: dict[str, str]) -> str:
-    """The configuration as TOML that `load_config` reads back to an equal value."""
+    """Return the configuration as TOML, which `load_config` reads back to an equal value."""
     return tomli_w.dumps({**dataclasses.asdict(config), "versions": versions})
 
 

@@ -1,6 +1,6 @@
 """The table of the robot's controllers, by the name that a configuration gives.
 
-A controller of the project's own is one file in `robot_node` and one entry here.
+To add a controller to the project, add a file in `robot_node` and an entry here.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ControllerEntry:
-    """A controller: where its class is, as `module:Class`, and what reports say of it.
+    """A controller: its class, as `module:Class`, and whether it `corrects` its last solution.
 
-    `corrects`: it corrects its last solution, so that it reports a contraction and has no use for
-    a fresh projector after a contact switch.
+    A controller that corrects reports a contraction, and needs no fresh projector after a contact
+    switch.
     """
 
     factory: str

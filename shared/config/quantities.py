@@ -18,12 +18,12 @@ class Push:
     duration_ns: int
 
     def active(self, time_ns: int) -> bool:
-        """Whether it acts at `time_ns` of the task."""
+        """Return whether the push acts at `time_ns` of the task."""
         return self.start_ns <= time_ns < self.start_ns + self.duration_ns
 
 
 _UNITS_NS = {"us": 1e3, "ms": 1e6, "s": 1e9}
-# Times, and forces, beyond this are slips of the pen; they also stay well inside 64 bits of ns.
+# Larger times and forces are typing errors. Up to this bound, times stay well inside 64 bits of ns.
 _MAX_SECONDS = 1e6
 _PUSH = re.compile(
     r"(?P<force>[0-9.]+)N@(?P<start>[0-9.]+)s:(?P<duration>[0-9.]+)s:(?P<sign>[+-])(?P<axis>[xyz])"
@@ -52,19 +52,19 @@ def parse_push(text: str) -> Push:
 
 @dataclass(frozen=True)
 class Outage:
-    """A span of the link's time in which nothing passes; `duration_ns` None: it never ends."""
+    """A span of the link's time in which no message passes; `duration_ns` None: it never ends."""
 
     start_ns: int
     duration_ns: int | None
 
     def begun(self, time_ns: int) -> bool:
-        """Whether it acts on a message sent at `time_ns`."""
+        """Return whether the outage acts on a message sent at `time_ns`."""
         end_ns = math.inf if self.duration_ns is None else self.start_ns + self.duration_ns
         return self.start_ns <= time_ns < end_ns
 
 
 def parse_outage(text: str) -> Outage:
-    """`389ms@1.2s` → nothing passes for 389 ms from 1.2 s on; `cut@4s` → from 4 s on, for ever."""
+    """`389ms@1.2s` → an outage of 389 ms from 1.2 s on; `cut@4s` → from 4 s on, for ever."""
     duration, _, start = text.strip().partition("@")
     try:
         return Outage(

@@ -1,8 +1,8 @@
-"""A setting as a field of a dataclass: its default, what it means, its bounds and its flag.
+"""A setting as a field of a dataclass: its default, its help, its bounds and its flag.
 
-All that is known of a setting stands there. Made of it are its check, here, its flag in
-`shared/process/cli.py`, its key in `config_file`, and its line of `docs/configuration.md` in
-`experiments/settings_page.py`.
+The field is the only place that describes a setting. Its check is made from the field here, its
+flag in `shared/process/cli.py`, its key in `config_file`, and its line of `docs/configuration.md`
+in `experiments/settings_page.py`.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class Setting:
-    """What is known of a setting.
+    """The description of a setting.
 
-    A number is within its bounds, and finite unless it `may_be_infinite`. A word is one of
-    `choices`; a function gives them where it takes long to know them. `flag` is its option on the
-    command line, `metavar` an example of a value there, and `read` makes the value from its text.
+    A number has to be within its bounds, and finite unless it `may_be_infinite`. A word has to be
+    one of `choices`, which is a function if the words take long to find. `flag` is the option on
+    the command line, `metavar` an example of its value, and `read` makes the value from its text.
     """
 
     default: Any
@@ -50,17 +50,17 @@ class Setting:
 
     @property
     def words(self) -> Sequence[str]:
-        """The words it may be; none where any value of its type may."""
+        """The allowed words; empty if every value of its type is allowed."""
         return self.choices() if callable(self.choices) else self.choices
 
     @property
     def bounds(self) -> list[tuple[str, float]]:
-        """Its bounds, each after its sign."""
+        """The bounds, each after its sign."""
         bounds = (("≥", self.at_least), ("≤", self.at_most), ("<", self.below))
         return [(sign, bound) for sign, bound in bounds if bound is not None]
 
     def check(self, key: str, value: Any) -> None:
-        """Refuse a value that `key` cannot have, by a `ConfigError` with those that it can."""
+        """Raise a `ConfigError` with the allowed values if `key` cannot have this one."""
         if self.words and value not in self.words:
             raise ConfigError(f"{key}: expected one of {', '.join(self.words)}, got {value!r}")
         if self.kind in (int, float) and not self._holds(value):
@@ -75,13 +75,13 @@ class Setting:
 
 
 def setting(default: _T, *, help: str, **known: Any) -> _T:
-    """A field of a dataclass that is a setting; `known` are further fields of `Setting`."""
+    """Return a dataclass field that is a setting; `known` are further fields of `Setting`."""
     return dataclasses.field(default=default, metadata={_METADATA: Setting(default, help, **known)})
 
 
 @dataclass(frozen=True)
 class Section:
-    """A dataclass of settings under its dotted name, empty for the whole; its own by dotted key."""
+    """A dataclass of settings: its dotted name, empty for the root, and its settings by key."""
 
     name: str
     cls: type
@@ -89,7 +89,7 @@ class Section:
 
 
 def sections_of(cls: type, *, name: str = "") -> Iterator[Section]:
-    """A dataclass of settings and, in order, all that it has as fields."""
+    """Yield a dataclass of settings and, in order, all dataclasses inside it."""
     own: dict[str, Setting] = {}
     within: dict[str, type] = {}
     for each in dataclasses.fields(cls):

@@ -1,9 +1,9 @@
 """Every setting of the project as frozen dataclasses; `config_file` reads them from TOML.
 
-A setting is told in one place, its field: see `setting`. What depends on the robot has Romeo's
-value here; another robot's is in its catalogue entry. A value out of range is a
-`ConfigError` that says what was expected. Both ends of a link must agree on `task`, `robot`, `wbc`
-and `walk`; their digest travels in every message.
+A setting is described in one place, its field: see `setting`. Settings that depend on the robot
+have Romeo's values here; another robot's are in its catalogue entry. A value out of range is a
+`ConfigError` that gives the range. Both ends of a link must agree on `task`, `robot`, `wbc` and
+`walk`; their digest travels in every message.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _PUSH = "100N@1.0s:0.2s:+y"
 
 
 def _robots() -> Sequence[str]:
-    # Imported here: a look at a stack that runs should not wait for numpy.
+    # Imported here: `wbc ps` should not wait for numpy.
     from shared.robots import CATALOGUE
 
     return tuple(CATALOGUE)
@@ -43,24 +43,26 @@ def _robots() -> Sequence[str]:
 class Gains:
     """Feedback gains kp [1/s²], with kd = 2 √kp; the contact rows have damping only."""
 
-    com: float = setting(10.0, help="of the CoM", unit="1/s²", at_least=0.0)
-    base_orientation: float = setting(20.0, help="of the base", unit="1/s²", at_least=0.0)
-    posture: float = setting(30.0, help="of the joints", unit="1/s²", at_least=0.0)
+    com: float = setting(10.0, help="gain of the CoM", unit="1/s²", at_least=0.0)
+    base_orientation: float = setting(20.0, help="gain of the base", unit="1/s²", at_least=0.0)
+    posture: float = setting(30.0, help="gain of the joints", unit="1/s²", at_least=0.0)
     contact_damping: float = setting(
-        20.0, help="of the soles on the floor", unit="1/s", at_least=0.0
+        20.0, help="damping of the soles on the floor", unit="1/s", at_least=0.0
     )
-    swing_foot: float = setting(300.0, help="of the foot in the air", unit="1/s²", at_least=0.0)
+    swing_foot: float = setting(
+        300.0, help="gain of the foot in the air", unit="1/s²", at_least=0.0
+    )
 
 
 @dataclass(frozen=True)
 class Weights:
     """Task weights ω of Eq. (2a)."""
 
-    com: float = setting(1.0, help="of the CoM", at_least=1e-9)
-    base_orientation: float = setting(0.1, help="of the base", at_least=1e-9)
-    posture: float = setting(1e-2, help="of the joints", at_least=1e-9)
-    force: float = setting(1e-5, help="of the contact forces", at_least=1e-9)
-    swing_foot: float = setting(10.0, help="of the foot in the air", at_least=1e-9)
+    com: float = setting(1.0, help="weight of the CoM", at_least=1e-9)
+    base_orientation: float = setting(0.1, help="weight of the base", at_least=1e-9)
+    posture: float = setting(1e-2, help="weight of the joints", at_least=1e-9)
+    force: float = setting(1e-5, help="weight of the contact forces", at_least=1e-9)
+    swing_foot: float = setting(10.0, help="weight of the foot in the air", at_least=1e-9)
 
 
 @dataclass(frozen=True)
@@ -69,37 +71,41 @@ class WbcConfig:
 
     gains: Gains = field(default_factory=Gains)
     weights: Weights = field(default_factory=Weights)
-    friction: float = setting(0.5, help="the controller's μ", at_least=1e-3)
-    min_normal_force: float = setting(1.0, help="per contact point", unit="N", at_least=0.0)
-    solver: str = setting("daqp", help="what solves it", choices=("daqp", "proxsuite"))
+    friction: float = setting(0.5, help="friction μ that the controller assumes", at_least=1e-3)
+    min_normal_force: float = setting(
+        1.0, help="least normal force of a contact point", unit="N", at_least=0.0
+    )
+    solver: str = setting("daqp", help="solver of the QP", choices=("daqp", "proxsuite"))
 
 
 @dataclass(frozen=True)
 class RobotConfig:
     """The robot, by its entry in the catalogue."""
 
-    name: str = setting("romeo", help="which robot", choices=_robots, flag="--robot")
+    name: str = setting("romeo", help="the robot", choices=_robots, flag="--robot")
     torque_clamp: float = setting(
-        1.45, help="what its actuators may give, × the URDF's effort limits", at_least=0.01
+        1.45, help="limit on a commanded torque, × the URDF's effort limit", at_least=0.01
     )
 
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """The simulated plant: `mujoco`, or `rigid` with both soles welded to the floor, to balance.
+    """The simulated plant: `mujoco`, or `rigid` with both soles welded to the floor, for balance.
 
-    The other settings are of MuJoCo's contacts.
+    The other settings are for MuJoCo's contacts.
     """
 
-    kind: str = setting("mujoco", help="what simulates the robot", choices=("mujoco", "rigid"))
-    friction: float = setting(0.8, help="between sole and floor", at_least=1e-3)
-    contact_time_constant: float = setting(0.005, help="by which they give way, `solref`", unit="s")
-    contact_damping_ratio: float = setting(1.0, help="of giving way")
+    kind: str = setting("mujoco", help="kind of plant", choices=("mujoco", "rigid"))
+    friction: float = setting(0.8, help="friction μ between sole and floor", at_least=1e-3)
+    contact_time_constant: float = setting(
+        0.005, help="time constant of a contact, in `solref`", unit="s"
+    )
+    contact_damping_ratio: float = setting(1.0, help="damping ratio of a contact, in `solref`")
 
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """Gaussian noise on what the robot measures."""
+    """Gaussian noise on the robot's measurements."""
 
     joint_position_noise: float = setting(
         1e-2, help="standard deviation of joint positions", unit="rad", at_least=0.0, flag="--noise"
@@ -113,24 +119,24 @@ class SensorConfig:
 class LoopConfig:
     """The 1 kHz tick.
 
-    On a projector older than `hold_after` the robot holds its joints instead of using the cache:
-    more than the outages of the factory and building profiles, less than LA lasts.
+    If its newest projector is older than `hold_after`, the robot holds its joints. The default is
+    longer than the outages of the factory and building profiles, and shorter than LA can stand.
     """
 
-    period_ns: int = setting(1_000_000, help="of a tick; no other is supported")
-    fresh_within_ns: int = setting(500_000, help="d* of Eq. (7), within the period")
+    period_ns: int = setting(1_000_000, help="length of a tick; no other value is supported")
+    fresh_within_ns: int = setting(500_000, help="deadline d* of Eq. (7), within the period")
     hold_after: float = setting(
         0.5,
-        help="projector age that holds the joints",
+        help="projector age above which the robot holds its joints",
         unit="s",
         at_least=0.0,
         may_be_infinite=True,
     )
     edge_compute_ns: int = setting(
-        300_000, help="what the edge takes under lockstep, where it is not measured", at_least=0
+        300_000, help="the edge's computing time in lockstep, where none is measured", at_least=0
     )
     connect_timeout: float = setting(
-        20.0, help="how long the robot waits for its first projector", unit="s", at_least=0.0
+        20.0, help="time that the robot waits for its first projector", unit="s", at_least=0.0
     )
 
 
@@ -138,17 +144,18 @@ class LoopConfig:
 class LinkConfig:
     """The emulated link.
 
-    After `capacity:` a profile's capacity is replayed instead of its delays: each direction queues
-    at most `queue_bytes`, and what finds no room is lost. A message counts as `uplink_bytes` or
-    `downlink_bytes`, whatever its own size, where these are not zero. In an `outage`, of the link's
-    own time, nothing passes: what is sent then waits for its end.
+    With `capacity:` before a profile, its capacity is replayed instead of its delays. Then each
+    direction queues at most `queue_bytes`, and a message that finds no room is lost. If
+    `uplink_bytes` or `downlink_bytes` is not zero, a message counts as that size instead of its
+    real one. During an `outage`, in the link's own time, no message passes: a message sent then
+    waits for its end.
     """
 
     network: str = setting(
         "factory/001",
         help="a shipped profile (factory/003), a .npz or .csv file, constant:ROUND_TRIP "
-        "(constant:30ms), constant:UP/DOWN, generated:factory/SEED; capacity: before any of them "
-        "replays the link behind it; or direct",
+        "(constant:30ms), constant:UP/DOWN, generated:factory/SEED; any of them after capacity: "
+        "to replay its capacity; or direct, without a shim",
         flag="--network",
     )
     loss: float = setting(
@@ -159,23 +166,23 @@ class LinkConfig:
         flag="--loss",
     )
     keep_order: bool = setting(
-        True, help="a message waits for those sent before it, as in a radio's link layer"
+        True, help="messages arrive in the order of sending, as in a radio's link layer"
     )
     outage: tuple[str, ...] = setting(
         (),
-        help="nothing passes for so long; cut@4s: for ever",
+        help="duration and start of an outage; cut@4s: for ever",
         flag="--outage",
         metavar="389ms@1.2s",
     )
     start: str = setting(
         "",
-        help="where in the profile the run begins; empty: at a place that the seed draws",
+        help="start of the run in the profile; empty: the seed draws it",
         flag="--network-start",
         metavar="12.5s",
     )
-    uplink_bytes: int = setting(0, help="what a state counts as, 0: as it is", at_least=0)
-    downlink_bytes: int = setting(0, help="what an answer counts as, 0: as it is", at_least=0)
-    queue_bytes: int = setting(20 * 2**20, help="what finds room in a queue", at_least=1)
+    uplink_bytes: int = setting(0, help="size of a state, 0: its real size", at_least=0)
+    downlink_bytes: int = setting(0, help="size of an answer, 0: its real size", at_least=0)
+    queue_bytes: int = setting(20 * 2**20, help="size of a direction's queue", at_least=1)
 
     @cached_property
     def start_ns(self) -> int | None:
@@ -184,67 +191,71 @@ class LinkConfig:
 
     @cached_property
     def outages(self) -> tuple[Outage, ...]:
-        """What `outage` says."""
+        """The outages that `outage` describes."""
         return tuple(parse_outage(text) for text in self.outage)
 
 
 @dataclass(frozen=True)
 class WireConfig:
-    """What crosses the link."""
+    """The format of messages."""
 
     projector_dtype: str = setting(
-        "float64", help="numbers of a projector", choices=("float32", "float64")
+        "float64", help="type of a projector's numbers", choices=("float32", "float64")
     )
 
 
 @dataclass(frozen=True)
 class WalkConfig:
-    """A walk: equal steps, of which the last brings the feet together.
+    """A walk of equal steps. The last step brings the feet together.
 
-    A step takes `step_duration`, of which `double_support` on both feet; the paper has 5 ms. The
-    CoM trajectory of `dcm` has a closed form, that of `mpc` is by model predictive control.
+    A step takes `step_duration`. In it the robot stands on both feet for `double_support`, which is
+    5 ms in the paper. `dcm` plans the CoM in closed form, `mpc` by model predictive control.
     """
 
-    steps: int = setting(6, help="how many", at_least=1, flag="--steps")
+    steps: int = setting(6, help="number of steps", at_least=1, flag="--steps")
     step_length: float = setting(
-        0.1, help="per step, negative: backward", unit="m", flag="--step-length"
+        0.1, help="length of a step, negative: backward", unit="m", flag="--step-length"
     )
     step_sideways: float = setting(
-        0.0, help="per step, positive: to the left", unit="m", flag="--step-sideways"
+        0.0, help="sideways part of a step, positive: to the left", unit="m", flag="--step-sideways"
     )
     step_turn: float = setting(
         0.0,
-        help="per step, positive: to the left; as a flag 15deg or 0.26rad",
+        help="turn of a step, positive: to the left; as a flag 15deg or 0.26rad",
         unit="rad",
         flag="--step-turn",
         metavar="15deg",
         read=parse_angle,
     )
     step_width: float = setting(
-        0.0, help="between the soles, 0: as standing", unit="m", at_least=0.0, flag="--step-width"
+        0.0,
+        help="distance between the soles, 0: as standing",
+        unit="m",
+        at_least=0.0,
+        flag="--step-width",
     )
     step_duration: float = setting(
-        0.8, help="of a step", unit="s", at_least=0.2, flag="--step-duration"
+        0.8, help="duration of a step", unit="s", at_least=0.2, flag="--step-duration"
     )
     double_support: float = setting(
-        0.02, help="of a step, on both feet", unit="s", at_least=1e-3, flag="--double-support"
+        0.02, help="part of a step on both feet", unit="s", at_least=1e-3, flag="--double-support"
     )
     swing_height: float = setting(
-        0.05, help="of the foot in the air", unit="m", at_least=0.0, flag="--swing-height"
+        0.05, help="height of the foot in the air", unit="m", at_least=0.0, flag="--swing-height"
     )
     begin_duration: float = setting(
-        1.0, help="on both feet before the first step", unit="s", at_least=0.5
+        1.0, help="time on both feet before the first step", unit="s", at_least=0.5
     )
     end_duration: float = setting(
-        2.0, help="on both feet after the last step", unit="s", at_least=0.5
+        2.0, help="time on both feet after the last step", unit="s", at_least=0.5
     )
     com_plan: str = setting(
-        "dcm", help="how the CoM moves", choices=("dcm", "mpc"), flag="--com-plan"
+        "dcm", help="planner of the CoM", choices=("dcm", "mpc"), flag="--com-plan"
     )
 
     @property
     def duration(self) -> float:
-        """From standing to standing [s]."""
+        """The duration from standing to standing [s]."""
         return self.begin_duration + self.steps * self.step_duration + self.end_duration
 
 
@@ -252,32 +263,36 @@ class WalkConfig:
 class SwitchConfig:
     """Contact switches of a walk, Sec. III-C; each part can be turned off.
 
-    `prepare_on_edge`, `prepare_on_board`: the solution of the next contact mode is computed from a
-    state `prepare_ns` before the switch, by the edge for the states it gets and once on the robot.
-    `solve_on_board`: in a window of `window_ns` centred on the switch the robot solves the full QP
-    itself every `period_ns`. The on-board computer is a slow one: what takes a fast core
-    `compute_ns` is ready after `compute_time_scale` times as long. The scale is the paper's
-    3.7 GHz / 1.2 GHz, and the product its worst case, 2.4 ms (Table V). A preparation that takes
-    longer than `prepare_ns` begins earlier, to be ready in time.
+    With `prepare_on_edge`, the edge solves for the next contact mode too, from each state in the
+    last `prepare_ns` before the switch. With `prepare_on_board`, the robot does so once, from the
+    state `prepare_ns` before the switch. With `solve_on_board`, the robot solves the full QP every
+    `period_ns`, in a window of `window_ns` centred on the switch. The on-board computer is slow: it
+    takes `compute_time_scale` times as long as a fast core, which takes `compute_ns`. The scale is
+    the paper's 3.7 GHz / 1.2 GHz, and the product its worst case, 2.4 ms (Table V). If the robot
+    needs longer than `prepare_ns`, it begins earlier, to be ready in time.
     """
 
-    prepare_on_edge: bool = setting(True, help="the next mode by the edge")
-    prepare_on_board: bool = setting(True, help="the next mode by the robot")
-    solve_on_board: bool = setting(True, help="full QPs by the robot")
-    prepare_ns: int = setting(10_000_000, help="how long before the switch", at_least=0)
-    window_ns: int = setting(100_000_000, help="of full QPs, centred on the switch", at_least=0)
-    period_ns: int = setting(5_000_000, help="between two of them", at_least=1_000_000)
+    prepare_on_edge: bool = setting(True, help="the edge prepares the next mode")
+    prepare_on_board: bool = setting(True, help="the robot prepares the next mode")
+    solve_on_board: bool = setting(True, help="the robot solves full QPs")
+    prepare_ns: int = setting(
+        10_000_000, help="time before the switch to prepare the next mode", at_least=0
+    )
+    window_ns: int = setting(
+        100_000_000, help="window of full QPs, centred on the switch", at_least=0
+    )
+    period_ns: int = setting(5_000_000, help="period of full QPs", at_least=1_000_000)
     compute_ns: int = setting(
-        780_000, help="what one takes a fast core; live, at least", at_least=0
+        780_000, help="time of a full QP on a fast core; in a live run the least time", at_least=0
     )
     compute_time_scale: float = setting(
-        3.08, help="the on-board computer is slower by", at_least=0.0
+        3.08, help="time of the on-board computer, × a fast core's", at_least=0.0
     )
 
     def ready_after_ns(self, solve_ns: int) -> int:
-        """How long the on-board computer takes for what takes a fast core `solve_ns`.
+        """Return the on-board computer's time for a QP that takes a fast core `solve_ns` [ns].
 
-        No less than for the configured `compute_ns`.
+        It is at least the time for the configured `compute_ns`.
         """
         return round(max(solve_ns, self.compute_ns) * self.compute_time_scale)
 
@@ -286,79 +301,99 @@ class SwitchConfig:
 class CorrectionConfig:
     """The locally corrected controller.
 
-    `level` is what is exact in a correction: `b` the constraints, `b_adjoint` their gradient too,
-    `c` everything, which needs `damping` far from its state.
+    `level` says which part of a correction is exact: `b` the constraints, `b_adjoint` also their
+    gradient, `c` everything. Level `c` needs `damping` far from the state of the factorisation.
 
-    The edge factorises the present contact mode and the next one again when the joints are
-    `refresh_distance` from where they were, root of the mean square. It sends again after
-    `retry_ns`, then ever later, what the robot does not say it holds, or a sign of life.
-    `posture_error` moves every joint that far, in a direction that the seed draws, before it
-    factorises: how wrong may a factorisation be?
+    When the joints have moved by `refresh_distance`, root mean square, the edge factorises the
+    present contact mode and the next one again. If the robot does not report that it holds a
+    factorisation, the edge sends it again after `retry_ns`, then at growing intervals. If it has
+    sent nothing for `retry_ns`, it sends a sign of life. `posture_error` moves every joint by that
+    angle before the edge factorises, in a direction that the seed draws. It shows how wrong a
+    factorisation may be.
 
-    The contraction estimate decides on which rung the robot stands. Above `refresh_above` the
-    on-board computer factorises, if `on_board_budget`, the part of its time for that, is not zero;
-    above `stop_above` a walk ends with the step; above `give_up_above` the stale optimum is used
+    The contraction estimate decides how the robot falls back. Above `refresh_above` the on-board
+    computer factorises, if `on_board_budget`, the part of its time for this, is not zero. Above
+    `stop_above` a walk ends with the step. Above `give_up_above` the robot uses the stale optimum
     without a correction.
     """
 
-    level: str = setting("b", help="what is exact", choices=CORRECTION_LEVELS)
+    level: str = setting("b", help="exact part of a correction", choices=CORRECTION_LEVELS)
     iterations: int = setting(
-        1, help="per tick, 0: the stale optimum with a fresh active set", at_least=0
+        1, help="corrections per tick, 0: the stale optimum with a fresh active set", at_least=0
     )
-    iterations_at_switch: int = setting(3, help="in the first tick of a contact mode", at_least=0)
+    iterations_at_switch: int = setting(
+        3, help="corrections in the first tick of a contact mode", at_least=0
+    )
     damping: float = setting(
-        0.0, help="added to the Hessian that the edge factorises", at_least=0.0
+        0.0, help="damping added to the Hessian that the edge factorises", at_least=0.0
     )
     refresh_distance: float = setting(
-        0.15, help="when the edge factorises again", unit="rad", at_least=0.0, may_be_infinite=True
+        0.15,
+        help="distance of the joints at which the edge factorises again",
+        unit="rad",
+        at_least=0.0,
+        may_be_infinite=True,
     )
-    refresh_interval_ns: int = setting(20_000_000, help="at most that often", at_least=0)
+    refresh_interval_ns: int = setting(
+        20_000_000, help="least time between two factorisations", at_least=0
+    )
     average_ns: int = setting(
-        10_000_000, help="measured joint positions are averaged over, 0: not at all", at_least=0
+        10_000_000, help="time over which joint positions are averaged, 0: none", at_least=0
     )
     retry_ns: int = setting(
-        100_000_000, help="sends again what the robot may not hold", at_least=1_000_000
+        100_000_000, help="time until the edge sends a factorisation again", at_least=1_000_000
     )
-    posture_error: float = setting(0.0, help="of the factorised posture", unit="rad", at_least=0.0)
+    posture_error: float = setting(
+        0.0, help="error of the factorised posture", unit="rad", at_least=0.0
+    )
     relaxation: float = setting(1.0, help="part of a correction that is applied", at_least=0.0)
     on_board_budget: float = setting(
         0.0, help="part of the on-board computer's time for factorising", at_least=0.0, at_most=1.0
     )
     refresh_above: float = setting(
-        0.5, help="contraction estimate from which the on-board computer factorises", at_least=0.0
+        0.5, help="contraction estimate above which the on-board computer factorises", at_least=0.0
     )
     stop_above: float = setting(
-        0.8, help="… from which a walk ends", at_least=0.0, may_be_infinite=True
+        0.8, help="contraction estimate above which a walk ends", at_least=0.0, may_be_infinite=True
     )
     give_up_above: float = setting(
-        1.0, help="… from which nothing is corrected", at_least=0.0, may_be_infinite=True
+        1.0,
+        help="contraction estimate above which no correction is made",
+        at_least=0.0,
+        may_be_infinite=True,
     )
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """One run, complete: the same file and seed give the same run."""
+    """All settings of a run. The same file and seed give the same run."""
 
-    task: str = setting("balance", help="what the robot does", choices=TASKS, flag="--task")
+    task: str = setting("balance", help="the robot's task", choices=TASKS, flag="--task")
     controller: str = setting(
-        "la", help="how it finds its torques", choices=tuple(CONTROLLERS), flag="--controller"
+        "la", help="the robot's controller", choices=tuple(CONTROLLERS), flag="--controller"
     )
     duration: float = setting(
         5.0,
-        help="how long, in simulated time",
+        help="duration in simulated time",
         unit="s",
         at_least=1e-3,
         below=1e6,
         flag="--duration",
     )
     seed: int = setting(
-        0, help="of noise, loss and the profile's starting point", at_least=0, flag="--seed"
+        0, help="seed of noise, loss and the profile's starting point", at_least=0, flag="--seed"
     )
     push: tuple[str, ...] = setting(
-        (_PUSH,), help="force on the base, start, duration, direction", flag="--push", metavar=_PUSH
+        (_PUSH,),
+        help="push on the base: force, start, duration, direction",
+        flag="--push",
+        metavar=_PUSH,
     )
     view: str = setting(
-        "auto", help="where it is watched", choices=("auto", "native", "web", "off"), flag="--view"
+        "auto",
+        help="where the run is shown",
+        choices=("auto", "native", "web", "off"),
+        flag="--view",
     )
     robot: RobotConfig = field(default_factory=RobotConfig)
     wbc: WbcConfig = field(default_factory=WbcConfig)
@@ -391,17 +426,17 @@ class RunConfig:
                 "plant.kind: expected mujoco for a walk, because the feet of a rigid plant are "
                 "welded to the floor, got 'rigid'"
             )
-        # Read here, where one in another form can still be refused.
+        # Parsed here, so that a malformed text is refused at once.
         _ = self.pushes, self.link.outages, self.link.start_ns
 
     @cached_property
     def pushes(self) -> tuple[Push, ...]:
-        """What `push` says."""
+        """The pushes that `push` describes."""
         return tuple(parse_push(text) for text in self.push)
 
     @property
     def digest(self) -> bytes:
-        """Eight bytes of what both ends must agree on."""
+        """The digest of the settings on which both ends must agree, eight bytes."""
         agreed = repr((self.task, self.robot, self.wbc, self.walk))
         return hashlib.sha256(agreed.encode()).digest()[:8]
 

@@ -1,4 +1,4 @@
-"""A TOML file as a table, or one clear error."""
+"""Read a TOML file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ else:  # pragma: no cover
 
 
 def read_toml(path: Path, *, what: str) -> dict[str, Any]:
-    """The table in a file; `ConfigError`, which begins with what it should have been."""
+    """Return the table in a file; raise `ConfigError`, which begins with `what`, if it has none."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

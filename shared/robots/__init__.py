@@ -1,4 +1,4 @@
-"""Robots: what the controller must know of one, and the catalogue of those that are known."""
+"""Robots: the data that the controller needs, and the catalogue of known robots."""
 
 from shared.robots.catalogue import CATALOGUE, description_of, load_robot
 from shared.robots.description import Foot, FootDescription, Robot, RobotDescription

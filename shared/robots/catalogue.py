@@ -1,6 +1,6 @@
-"""The robots that are known by name. To add one, add an entry; nothing else names a robot.
+"""The catalogue of robots. To add a robot, add an entry; no other module names a robot.
 
-`docs/another-robot.md` says where each number of an entry is read off.
+`docs/another-robot.md` says where to read off each number of an entry.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ _ROMEO_SOLE_X = (-0.0735, 0.120)
 _ROMEO_SOLE_INNER, _ROMEO_SOLE_OUTER = 0.0526, 0.0674
 
 # Sole of Talos: section of the collision mesh ankle_X_collision.stl 1 mm above its lowest point,
-# whose edges are rounded; its two sides differ by 4 mm and the smaller one is taken for both. The
+# because its edges are rounded. Its two sides differ by 4 mm; both have the smaller value here. The
 # height is that of the URDF's left_sole_link.
 _TALOS_SOLE_X = (-0.105, 0.094)
 _TALOS_SOLE_Y = (-0.058, 0.058)
 _TALOS_SOLE_HEIGHT = 0.107
 
 _TALOS_SETTINGS: dict[str, Any] = {
-    # Three quarters of what its URDF allows are enough for the push.
+    # The push needs three quarters of the URDF's effort limits.
     "robot": {"torque_clamp": 1.0},
     "wbc": {
-        # Romeo's 1e-5 over the square of the ratio of their masses, as N² are weighed against
-        # (m/s²)². With 1e-5 even forces count nearly as much as the CoM, and Talos leans over.
+        # Romeo's 1e-5 over the square of the ratio of their masses, because N² are weighed against
+        # (m/s²)². With 1e-5, evenly shared forces count nearly as much as the CoM, and Talos leans.
         "weights": {"force": 2e-6},
-        # Half of what fells it: with 30 and LA at 25 ms a foot that lands, or is unloaded by the
-        # push, rolls from edge to edge.
+        # Half of the value with which it falls. With 30, and LA at 25 ms, a foot rolls from edge to
+        # edge when it lands or the push unloads it.
         "gains": {"contact_damping": 15.0},
     },
 }
@@ -80,7 +80,7 @@ CATALOGUE: dict[str, RobotDescription] = {
             ),
         ),
         settings={
-            # 100 N on Romeo, by the ratio of their masses.
+            # Romeo's 100 N times the ratio of their masses.
             "balance": {**_TALOS_SETTINGS, "push": ["223N@1.0s:0.2s:+y"]},
             "walk": {**_TALOS_SETTINGS, "walk": {"step_length": 0.15}},
         },
@@ -89,15 +89,15 @@ CATALOGUE: dict[str, RobotDescription] = {
 
 
 def description_of(name: str) -> RobotDescription:
-    """The entry of a robot; `ConfigError` names the known ones."""
+    """Return the entry of a robot; raise `ConfigError` with the known ones if there is none."""
     if name not in CATALOGUE:
         raise ConfigError(f"robot: expected one of {', '.join(CATALOGUE)}, got {name!r}")
     return CATALOGUE[name]
 
 
 def load_robot(name: str) -> Robot:
-    """Load a robot by its catalogue name; `ConfigError` names the known ones."""
-    # Imported here: who only wants a robot's settings, as the shim does, goes without Pinocchio.
+    """Load a robot by its catalogue name; raise `ConfigError` if the catalogue lacks it."""
+    # Imported here: a process that needs only a robot's settings, as the shim, loads no Pinocchio.
     from shared.robots.loading import load
 
     return load(description_of(name))

@@ -1,8 +1,8 @@
-"""What the controller and the simulated plant must know of a robot, beside its URDF.
+"""The data that the controller and the simulated plant need about a robot, beside its URDF.
 
 `RobotDescription` is plain data, an entry of the catalogue. `Robot` is that entry loaded: the
 Pinocchio model with sole frames added, a standing configuration with the soles on the ground, and
-the actuators' limits. Who only looks an entry up, as the settings do, goes without Pinocchio.
+the actuators' limits. Looking up an entry, as the settings do, loads no Pinocchio.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ class FootDescription:
 class RobotDescription:
     """A catalogue entry. Paths are relative to the robots folder of example-robot-data.
 
-    `posture` names the SRDF's group state that the robot stands in. `settings`, by task, is what
-    this robot changes of the defaults, in the words of a settings file; a file and flags come on
+    `posture` names the SRDF's group state in which the robot stands. `settings` has, for each task,
+    the defaults that this robot changes, by the keys of a settings file. A file and flags come on
     top.
     """
 

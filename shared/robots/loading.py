@@ -1,4 +1,4 @@
-"""A catalogue entry made into a Pinocchio model with soles, and into a robot that stands."""
+"""Load a catalogue entry: a Pinocchio model with sole frames, and a standing configuration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MIN_SECOND_MOMENT = 1e-7
 
 
 def load(description: RobotDescription) -> Robot:
-    """Load a catalogue entry; `ConfigError` if it is not one of a robot that can be used here."""
+    """Load a catalogue entry; raise `ConfigError` if the robot cannot be used here."""
     folder = robots_folder()
     urdf_path = folder / description.urdf
     model = pin.buildModelFromUrdf(str(urdf_path), pin.JointModelFreeFlyer())
@@ -45,7 +45,7 @@ def load(description: RobotDescription) -> Robot:
 
 
 def _check(description: RobotDescription, model: pin.Model) -> None:
-    """Whether the names of an entry are there, and all joints of one turn: hinges."""
+    """Check that the names of an entry exist, and that every joint is a hinge with limits."""
     joints, postures = list(model.names), [each.key() for each in model.referenceConfigurations]
     for foot in description.feet:
         if foot.joint not in joints:
@@ -62,12 +62,12 @@ def _check(description: RobotDescription, model: pin.Model) -> None:
         if not (joint.nq == 1 and joint.shortname().startswith("JointModelR")):
             raise ConfigError(
                 f"robot {description.name}: expected hinges with limits, joint {name} is a "
-                f"{joint.shortname()}; a URDF where it is fixed may do"
+                f"{joint.shortname()}; try a URDF in which it is fixed"
             )
 
 
 def _repaired(inertia: pin.Inertia) -> pin.Inertia:
-    """Body inertia with its second moments of mass clamped from below; exact where none is."""
+    """Return a body's inertia, with its second moments of mass clamped from below if needed."""
     moments, axes = np.linalg.eigh(inertia.inertia)
     second_moments = 0.5 * moments.sum() - moments
     if second_moments.min() >= MIN_SECOND_MOMENT:
@@ -78,7 +78,7 @@ def _repaired(inertia: pin.Inertia) -> pin.Inertia:
 
 
 def _on_the_ground(model: pin.Model, q: np.ndarray) -> np.ndarray:
-    """`q` with the base lifted so that the lowest sole is at z = 0 and the base above x = y = 0."""
+    """Return `q` with the lowest sole at z = 0 and the base above x = y = 0."""
     data = model.createData()
     q = q.copy()
     q[:3] = 0.0

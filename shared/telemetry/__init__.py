@@ -1,1 +1,1 @@
-"""Rows of measurements: their columns, their way out of a loop, and figures from them."""
+"""Rows of measurements: their columns, their way out of a loop, and metrics from them."""

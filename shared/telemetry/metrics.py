@@ -1,7 +1,7 @@
-"""Numbers that say how well a run went, from its telemetry rows.
+"""Metrics of a run, from its telemetry rows.
 
-The CoM error and the contact violation are the paper's (Sec. IV-C) and come from the robot tick by
-tick; what needs more than one row is here.
+The robot computes the paper's CoM error and contact violation (Sec. IV-C) in every tick. Metrics
+that need more than one row are here.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _HASHED_COLUMNS = ("time_ns", "source", "q", "v", "tau")
 
 
 def log_hash(schema: Schema, rows: np.ndarray) -> str:
-    """SHA-256 over what the robot did: time, source, state and torque of every tick of the task."""
+    """Return the SHA-256 of time, source, state and torque of every tick of the task."""
     digest = hashlib.sha256()
     for chunk in row_chunks(rows):
         for name in _HASHED_COLUMNS:
@@ -27,13 +27,13 @@ def log_hash(schema: Schema, rows: np.ndarray) -> str:
 
 
 def mean(values: np.ndarray) -> float | None:
-    """Mean of the finite values; None where there are none."""
+    """Return the mean of the finite values; None if there are none."""
     finite = values[np.isfinite(values)]
     return float(f"{finite.mean():.6g}") if finite.size else None
 
 
 def quantiles(values: np.ndarray, *, digits: int = 4) -> dict[str, float | None]:
-    """p50, p99 and max of the finite values; None where there are none."""
+    """Return p50, p99 and max of the finite values; None if there are none."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return {"p50": None, "p99": None, "max": None}
@@ -46,7 +46,7 @@ def quantiles(values: np.ndarray, *, digits: int = 4) -> dict[str, float | None]
 
 
 def stance_slips(schema: Schema, rows: np.ndarray) -> np.ndarray:
-    """How far a loaded foot slid from where it was set down [m], the most of each stance."""
+    """Return the largest slip of a foot in each of its stances, from its first place [m]."""
     slips = schema.column(rows, "foot_slip_m")
     maxima = []
     for foot in slips.T:
@@ -59,9 +59,10 @@ def stance_slips(schema: Schema, rows: np.ndarray) -> np.ndarray:
 
 
 def switch_to_fresh_ms(schema: Schema, rows: np.ndarray) -> np.ndarray:
-    """Per contact switch, time until a command came from a state measured in the new mode [ms].
+    """Return, for each contact switch, the time to the first command from the new mode [ms].
 
-    Until then it came from a prepared projector, or from none. NaN where the mode ended before.
+    That is the first command whose answer is for a state measured in the new mode. Until then
+    commands come from a prepared projector, or from none. NaN if the mode ends before.
     """
     mode, tick = schema.column(rows, "mode"), schema.column(rows, "tick")
     sequence, time_ns = schema.column(rows, "projector_sequence"), schema.column(rows, "time_ns")
@@ -74,7 +75,7 @@ def switch_to_fresh_ms(schema: Schema, rows: np.ndarray) -> np.ndarray:
 
 
 def true_active_sets(schema: Schema, rows: np.ndarray, solve_rows: np.ndarray) -> np.ndarray:
-    """Optimal active set of each tick's own state, as the edge found it; −1 where it did not."""
+    """Return the optimal active set of each tick's state, from the edge's solves; −1 if unknown."""
     found = np.full(len(rows), -1, dtype=np.int64)
     if len(solve_rows) and len(rows):
         states = SOLVE_SCHEMA.column(solve_rows, "state_sequence").astype(np.int64)
@@ -88,10 +89,10 @@ def true_active_sets(schema: Schema, rows: np.ndarray, solve_rows: np.ndarray) -
 
 
 def active_set_discrepancy(schema: Schema, rows: np.ndarray, true_sets: np.ndarray) -> np.ndarray:
-    """Cardinality of the difference between the active set used and the true one, per tick.
+    """Return by how many rows the active set in use differs from the true one, in each tick.
 
-    |(𝒜 ∪ 𝒜̂) \\ (𝒜 ∩ 𝒜̂)| of Table VI; NaN where either is unknown. After a contact switch, rows of a
-    foot that is not loaded any more count as well.
+    |(𝒜 ∪ 𝒜̂) \\ (𝒜 ∩ 𝒜̂)| of Table VI; NaN if either is unknown. After a contact switch, rows of a
+    foot that is no longer loaded count as well.
     """
     used = schema.column(rows, "active_set").astype(np.int64)
     known = (used >= 0) & (true_sets >= 0)
@@ -99,17 +100,17 @@ def active_set_discrepancy(schema: Schema, rows: np.ndarray, true_sets: np.ndarr
 
 
 def by_cardinality(cardinality: np.ndarray, values: np.ndarray) -> list[float | None]:
-    """Mean of the finite values at the ticks of each cardinality from 0 on; None where none is."""
+    """Return the mean of the finite values at each cardinality from 0 on; None without one."""
     return [mean(values[cardinality == k]) for k in range(len(ticks_by_cardinality(cardinality)))]
 
 
 def ticks_by_cardinality(cardinality: np.ndarray) -> list[int]:
-    """How many ticks have each cardinality from 0 to the largest; NaN counts for none."""
+    """Return the number of ticks of each cardinality from 0 to the largest, without NaN."""
     known = cardinality[np.isfinite(cardinality)].astype(np.int64)
     return [int(count) for count in np.bincount(known)]
 
 
 def in_task(schema: Schema, rows: np.ndarray) -> np.ndarray:
-    """The rows from the first one of the task on; those before only waited for the edge."""
+    """Return the rows from the first tick of the task on, without the wait for the edge."""
     begun = schema.column(rows, "time_ns") >= 0
     return rows[int(np.argmax(begun)) :] if begun.any() else rows[:0]

@@ -1,13 +1,14 @@
-"""When a direction of the link stalls, from the messages that came through.
+"""Outages of a direction of the link, from the messages that came through.
 
-A message that left the queue alone would have needed the least delay seen so far. What it took
-beyond that, and beyond the arrival before it, nothing came out of the link:
+Without a queue, a message would need the least delay seen so far. From then until it arrives, and
+after the arrival before it, no message comes out of the link:
 
     outage = [max(arrival before, sent + least delay), arrival]    if longer than `OUTAGE_NS`
 
-A constant delay, however large, is none, nor is a sender that has nothing to say. Of a sender that
-is `steady` a lost message should have come out too: `sent` is then that of the first one after the
-arrival before, lost or not. A link that was cut shows in what is missing: see `LinkLane.silent`.
+A constant delay of any length is no outage, and neither is a sender's pause. If a sender is
+`steady`, a lost message should have come out too. Then `sent` is the time of the first message sent
+after the arrival before, lost or not. `LinkLane.silent` finds a link that was cut, by the lack of
+messages.
 """
 
 from __future__ import annotations
@@ -21,18 +22,18 @@ Change = tuple[int, str]
 
 
 class LinkLane:
-    """States of one direction, as changes (instant [ns], state); instants are not in order."""
+    """The states of one direction, as changes (instant [ns], state). Instants are not in order."""
 
     def __init__(self, *, steady: bool = False) -> None:
         self.last_arrival_ns: int | None = None
         self._steady = steady
         self._least_ns = np.iinfo(np.int64).max
-        # When the first message was lost since the last arrival.
+        # When the first message that was lost since the last arrival was sent.
         self._lost_ns: int | None = None
         self._silent: str | None = None
 
     def add(self, sent_ns: np.ndarray, delay_ns: np.ndarray) -> list[Change]:
-        """The changes that messages tell; a negative delay is a lost message."""
+        """Return the changes that messages show; a negative delay is a lost message."""
         owed_ns = self._owed(sent_ns, delay_ns) if self._steady else sent_ns
         passed = delay_ns >= 0
         owed_ns, sent_ns, delay_ns = owed_ns[passed], sent_ns[passed], delay_ns[passed]
@@ -48,7 +49,7 @@ class LinkLane:
         least_ns = np.minimum(np.minimum.accumulate(delay_ns), self._least_ns)
         begin_ns = np.maximum(np.append(first, arrival_ns[:-1]), owed_ns + least_ns)
         if self._silent == OUTAGE:
-            # That one is known.
+            # `silent` has returned this outage already.
             begin_ns[0] = arrival_ns[0]
         for k in np.flatnonzero(arrival_ns - begin_ns > OUTAGE_NS):
             changes += [(int(begin_ns[k]), OUTAGE), (int(arrival_ns[k]), PASSING)]
@@ -58,7 +59,7 @@ class LinkLane:
         return changes
 
     def silent(self, now_ns: int, state: str, *, patience_ns: int) -> list[Change]:
-        """The change to `state` when nothing has come out for `patience_ns`; once per silence."""
+        """Return the change to `state` if no message came for `patience_ns`; once per silence."""
         last = self.last_arrival_ns
         if last is None or self._silent is not None or now_ns - last <= patience_ns:
             return []
@@ -66,8 +67,10 @@ class LinkLane:
         return [(last, state)]
 
     def _owed(self, sent_ns: np.ndarray, delay_ns: np.ndarray) -> np.ndarray:
-        """Since when [ns] (n,) something should have come out, where messages have; they are in the
-        order of sending but for lost ones, which are known before those that are under way.
+        """Return when the first message after the arrival before was sent, lost or not [ns], (n,).
+
+        Messages are in the order of sending. Only a lost message may come earlier: its loss is
+        known while others are under way.
         """
         lost_ns = self._lost_ns
         if lost_ns is None and np.all(delay_ns >= 0):

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 def write_parquet(schema: Schema, rows: np.ndarray, path: Path) -> None:
-    """Rows as a Parquet table, one column per schema column; vectors are fixed-size lists."""
-    # Imported here: the control loops that only fill rows should not carry Arrow's memory.
+    """Write rows as a Parquet table, one column per schema column; vectors are fixed-size lists."""
+    # Imported here: control loops, which only fill rows, should not hold Arrow's memory.
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -41,7 +41,7 @@ def write_parquet(schema: Schema, rows: np.ndarray, path: Path) -> None:
 
 
 def read_parquet(path: Path, *, columns: Sequence[str] | None = None) -> tuple[Schema, np.ndarray]:
-    """Schema and rows of a table that `write_parquet` wrote, or of some of its columns."""
+    """Return schema and rows of a table of `write_parquet`, or of some of its columns."""
     import pyarrow.parquet as pq
 
     table = pq.read_table(path, columns=None if columns is None else list(columns))
@@ -49,7 +49,7 @@ def read_parquet(path: Path, *, columns: Sequence[str] | None = None) -> tuple[S
 
 
 def parquet_shape(path: Path) -> tuple[Schema, int]:
-    """Schema of such a table and its number of rows, which are not read."""
+    """Return the schema and the number of rows of such a table, without reading the rows."""
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path) as file:
@@ -57,12 +57,12 @@ def parquet_shape(path: Path) -> tuple[Schema, int]:
 
 
 def parquet_chunks(path: Path, *, size: int = 20_000) -> Iterator[tuple[Schema, np.ndarray]]:
-    """Such a table in chunks of at most `size` rows, each with its schema."""
+    """Yield such a table in chunks of at most `size` rows, each with its schema."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path) as file:
-        # One group after the other: over several, Arrow keeps all that it has read.
+        # One row group at a time: over several groups, Arrow keeps all that it has read.
         for group in range(file.num_row_groups):
             for batch in file.iter_batches(batch_size=size, row_groups=[group]):
                 yield _schema_of(batch.schema), _rows_of(pa.Table.from_batches([batch]))

@@ -1,9 +1,9 @@
 """Rows of measurements, from a real-time loop to a file, a live view and statistics.
 
 A loop fills one row of numbers per tick, message or solve into a block; a full block is handed to a
-background thread, which appends it to a file and publishes it. Nothing grows in the loop, nothing
-blocks it. Afterwards the file becomes a Parquet table. Under lockstep there is no file: the blocks
-stay in memory.
+background thread, which appends it to a file and publishes it. So the loop is never blocked, and
+its memory does not grow. Afterwards the file becomes a Parquet table. In lockstep there is no file:
+the blocks stay in memory.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ BLOCK_ROWS = 100
 class RowLog:
     """Rows under one schema. `row()` gives the next row to fill; `close()` ends the log.
 
-    With a `path`, blocks go to `path` as raw float64 and memory stays bounded; without, they are
-    kept. `publish` receives each block's encoding on the background thread. A file takes `at_most`
-    so many rows; those after them are published only. So are those that cannot be written, for
-    which `failure` says why.
+    With a `path`, blocks go to `path` as raw float64 and memory stays bounded; without one, blocks
+    stay in memory. `publish` receives each block's encoding on the background thread. The file
+    holds at most `at_most` rows. Later rows are only published, and so are rows that cannot be
+    written: `failure` is then the error.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class RowLog:
             self._thread.join(timeout=10.0)
             self._thread = None
         if self._file is not None:
-            with contextlib.suppress(OSError):  # again what `failure` has
+            with contextlib.suppress(OSError):  # the same error as in `failure`
                 self._file.close()
             self._file = None
 
@@ -110,13 +110,13 @@ class RowLog:
 
 
 def encode_rows(schema: Schema, rows: np.ndarray) -> bytes:
-    """A block of rows with its schema, for the telemetry session."""
+    """Encode a block of rows with its schema, for the telemetry session."""
     columns = [(column.name, column.width, column.kind) for column in schema.columns]
     return bytes(msgpack.packb({"columns": columns, "rows": rows.tobytes()}))
 
 
 def decode_rows(data: bytes) -> tuple[Schema, np.ndarray]:
-    """Schema and rows (n, width) of a telemetry block; `ValueError` if it is not one."""
+    """Return schema and rows (n, width) of a telemetry block; `ValueError` if it is not one."""
     try:
         block = msgpack.unpackb(data)
         schema = Schema(*(Column(*column) for column in block["columns"]))
@@ -127,6 +127,6 @@ def decode_rows(data: bytes) -> tuple[Schema, np.ndarray]:
 
 
 def row_chunks(rows: np.ndarray, *, size: int = 20_000) -> Iterator[np.ndarray]:
-    """Rows in chunks of bounded size."""
+    """Yield the rows in chunks of at most `size`."""
     for start in range(0, len(rows), size):
         yield rows[start : start + size]

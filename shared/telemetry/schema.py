@@ -1,4 +1,4 @@
-"""What is measured: the columns of the robot's, the link's and the edge's rows."""
+"""The columns of the robot's, the link's and the edge's rows."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 
 
 class Source(enum.IntEnum):
-    """Where a command came from.
+    """The source of a command.
 
-    This tick's answer, an older one as it is, nowhere (the joints are held), the robot's own
-    computer, an older answer corrected, or the same while the robot ends its walk.
+    `FRESH`: the answer to this tick's state. `CACHED`: an older answer, as it is. `HELD`: none, a
+    joint hold. `ON_BOARD`: the on-board computer. `CORRECTED`: an older answer, corrected.
+    `STOPPING`: the same, while the robot ends its walk.
     """
 
     FRESH = 0
@@ -50,7 +51,7 @@ class Schema:
         self.width = start
 
     def column(self, rows: np.ndarray, name: str) -> np.ndarray:
-        """Values of a column: (n,) for a scalar, (n, width) for a vector."""
+        """Return the values of a column: (n,) for a scalar, (n, width) for a vector."""
         values = rows[:, self.slices[name]]
         return values[:, 0] if values.shape[1] == 1 else values
 
@@ -64,7 +65,7 @@ class Schema:
 # and the tick whose state it came from; −1 if none. `on_board_qps`: QPs begun on board so far.
 # `contraction`, `staleness_rad`: as in `robot_node.controllers.Decision`, NaN if not corrected.
 def tick_schema(*, nq: int, nv: int) -> Schema:
-    """Schema of a robot's telemetry."""
+    """Return the schema of a robot's telemetry."""
     return Schema(
         Column("tick", kind="int64"),
         Column("time_ns", kind="int64"),
