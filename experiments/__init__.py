@@ -1,1 +1,1 @@
-"""Reproducible runs under simulated time, and what is made of many of them."""
+"""Reproducible trials under simulated time, and the results of many trials."""

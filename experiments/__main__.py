@@ -1,4 +1,4 @@
-"""Reproducible runs under simulated time, and what they come to."""
+"""Reproducible trials under simulated time, and their results."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from shared.process.cli import Subcommand, run, run_command
 _STUDIES = "experiments.studies"
 _REPRODUCTION = "experiments.reproduction"
 COMMANDS = (
-    Subcommand("trial", "play one run and print its summary", "experiments.trial"),
+    Subcommand("trial", "play one trial and print its summary", "experiments.trial"),
     Subcommand("link", "try each controller over a whole link", "experiments.link"),
     Subcommand("sweep", "play a study and print its table", f"{_STUDIES}.sweep"),
     Subcommand("run", "the paper's tables and figures", f"{_REPRODUCTION}.run", "reproduction"),
-    Subcommand("report", "a page of what `run` has found", f"{_REPRODUCTION}.report"),
+    Subcommand("report", "write a page of the results of `run`", f"{_REPRODUCTION}.report"),
     Subcommand("check", "play trials of a finished sweep again", f"{_STUDIES}.check"),
-    Subcommand("atlas", "how often a robot falls: delay × push", "experiments.atlas"),
-    Subcommand("figure", "draw what a sweep has found", "experiments.figure"),
+    Subcommand("atlas", "map how often a robot falls: delay × push", "experiments.atlas"),
+    Subcommand("figure", "draw the results of a sweep", "experiments.figure"),
     Subcommand(
         "corrections",
-        "how far a factorisation may be from the state, without simulating",
+        "measure at random states how stale a factorisation may be",
         f"{_STUDIES}.corrections",
     ),
-    Subcommand("settings", "the tables of all settings", "experiments.settings_page"),
+    Subcommand("settings", "write the tables of all settings", "experiments.settings_page"),
 )
 
 

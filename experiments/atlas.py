@@ -1,8 +1,9 @@
-"""How often a robot falls over constant round trip × push × controller: its delay margin as a map.
+"""Map of the falls of a robot over constant round trip × push × controller.
 
-`./wbc atlas --task balance --delays 0ms,50ms --pushes 60N,100N` plays every pair of
-delay and push with each controller and the same seeds, as a study: resumable, on all cores or on a
-cluster. It leaves a heat map with counts, and a row per square in `atlas.parquet`.
+`./wbc atlas --task balance --delays 0ms,50ms --pushes 60N,100N` plays every pair of delay and push
+with each controller and the same seeds. The trials are a study: it runs on all cores or on a
+cluster, and the same command resumes it. The command writes a heat map with counts, and
+`atlas.parquet` with a row per square.
 """
 
 from __future__ import annotations
@@ -34,21 +35,21 @@ from shared.process.cli import EXIT_STANDING
 from shared.robots import load_robot
 
 DEFAULT_DELAYS = "0ms,10ms,25ms,50ms,90ms,150ms,200ms,400ms"
-# To the side, where the feet are long enough to show a margin; a walk meets it within its third
-# step, on one foot.
+# The default direction is sideways, where the feet are long enough to show a margin. In a walk the
+# push comes within the third step, when the robot stands on one foot.
 DEFAULT_PUSHES = {
     "balance": "40N,60N,80N,100N,110N,120N,130N,150N",
     "walk": "10N,20N,30N,40N,50N,60N,80N,100N",
 }
 DEFAULT_PUSH_AT = {"balance": "1.0s", "walk": "3.0s"}
-# What the axes of the map are called.
+# Names of the axes of the map.
 DELAY, PUSH = "round trip", "push"
 
 Row = dict[str, Any]
 
 
 def add_atlas_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `atlas`."""
+    """Add the options of `atlas`."""
     parser.add_argument("--config", type=Path, metavar="FILE.toml", help="settings of all trials")
     parser.add_argument(
         "--task", help=f"one of {', '.join(TASKS)}; default: the file's, or balance"
@@ -57,19 +58,19 @@ def add_atlas_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--controllers", default="pr,la,lc", metavar="pr,la,…")
     parser.add_argument("--delays", default=DEFAULT_DELAYS, metavar="0ms,25ms,…")
     parser.add_argument("--pushes", metavar="0N,60N,…", help="forces on the base")
-    parser.add_argument("--direction", default="+y", help="of the pushes, as in --direction=-x")
-    parser.add_argument("--push-at", metavar="1.0s", help="when the push begins")
-    parser.add_argument("--push-for", default="0.2s", metavar="0.2s", help="how long it lasts")
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="of each square; 3")
+    parser.add_argument("--direction", default="+y", help="direction of the pushes: --direction=-x")
+    parser.add_argument("--push-at", metavar="1.0s", help="time at which the push begins")
+    parser.add_argument("--push-for", default="0.2s", metavar="0.2s", help="duration of the push")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="seeds per square; 3")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
     parser.add_argument("--scheduler", metavar=EXAMPLE, help="play on this Dask cluster instead")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default runs/atlas-TASK")
 
 
 def run_atlas(arguments: argparse.Namespace) -> int:
-    """Play what is missing, draw the map and print it."""
+    """Play the missing trials, draw the map and print it."""
     if arguments.scheduler is not None and arguments.workers is not None:
-        raise ConfigError("--workers: the cluster of --scheduler has its own; expected one of them")
+        raise ConfigError("--workers: expected without --scheduler, got both; leave out --workers")
     workers = workers_from(arguments.workers)
     study = study_from(arguments)
     out = arguments.out or Path("runs") / study.name
@@ -87,13 +88,13 @@ def run_atlas(arguments: argparse.Namespace) -> int:
     print(text)
     errors = [row["error"] for row in rows if row["error"] is not None]
     if errors:
-        print(f"ended with an error: {len(errors)}, the first: {errors[0]}")
+        print(f"trials ended with an error: {len(errors)}; the first: {errors[0]}")
     print(picture)
     return EXIT_STANDING
 
 
 def study_from(arguments: argparse.Namespace) -> Study:
-    """The study that the options describe; ConfigError for a value that no trial could have."""
+    """The study that the options describe; ConfigError for a value that no trial can have."""
     asked = {"task": arguments.task, "robot.name": arguments.robot}
     given = {key: value for key, value in asked.items() if value is not None}
     config = load_config(arguments.config, given)
@@ -129,8 +130,9 @@ def study_from(arguments: argparse.Namespace) -> Study:
 
 
 def squares_of(rows: list[Row]) -> list[Row]:
-    """A row per square of the map: how many trials fell of those played, and P(fall) with its
-    Wilson interval of 95 %. Trials that ended with an error are not counted.
+    """A row per square of the map: trials played, falls, and P(fall) with its Wilson interval.
+
+    The interval is that of 95 %. Trials that ended with an error are not counted.
     """
     trials: dict[tuple[str, str, str], list[bool]] = {}
     for row in rows:
@@ -157,7 +159,7 @@ def squares_of(rows: list[Row]) -> list[Row]:
 
 
 def in_words(squares: list[Row]) -> str:
-    """A line per controller and push, with how many fell of those played at each delay."""
+    """A line per controller and push: at each delay, the falls of the trials played."""
     delays = sorted({square["delay_ns"] for square in squares})
     lines = [["", "", *(f"{delay * 1e-6:g} ms" for delay in delays)]]
     counts = {(s["controller"], s["force"], s["delay_ns"]): s for s in squares}
@@ -165,7 +167,7 @@ def in_words(squares: list[Row]) -> str:
         found = [counts[controller, force, delay] for delay in delays]
         words = [f"{square['fell']}/{square['played']}" for square in found]
         lines.append([controller.upper(), f"{force:g} N", *words])
-    return "\n".join(["fell of those played, over the round trip", *aligned(lines, left=0)])
+    return "\n".join(["trials that fell / trials played, by round trip", *aligned(lines, left=0)])
 
 
 def _shown(row: Row) -> Row:
@@ -188,7 +190,7 @@ def _force_of(push: str) -> float:
 
 
 def _changed(config: RunConfig) -> dict[str, Any]:
-    """What a run has that is not its task's default, by dotted key, without the map's axes."""
+    """Settings that differ from the task's defaults, by dotted key, without the map's axes."""
     default = flattened(dataclasses.asdict(load_config(None, {"task": config.task})), "default")
     settings = flattened(dataclasses.asdict(config), "--config")
     left_out = ("controller", "link.network", "push", "seed")
@@ -200,7 +202,7 @@ def _changed(config: RunConfig) -> dict[str, Any]:
 
 
 def _axis(option: str, text: str, check: Callable[[str], str]) -> list[str]:
-    """The values of an axis, each as `check` wants it, none twice."""
+    """The values of an axis, each in the form that `check` returns, none twice."""
     values = []
     for given in text.split(","):
         try:
@@ -239,5 +241,5 @@ def _seconds(option: str, text: str) -> str:
 
 
 def _decimal(number: float) -> str:
-    """Without an exponent and without zeros at its end."""
+    """The number without an exponent and without trailing zeros."""
     return f"{number:.6f}".rstrip("0").rstrip(".")

@@ -1,4 +1,4 @@
-"""A figure of a study: how many trials stood, or the mean of a column, over one of its settings.
+"""A figure of a study: the part of trials that stood, or a column's mean, over one of its settings.
 
 `./wbc figure DIR --x correction.posture_error --by cell --panels task --out FILE`.
 """
@@ -29,23 +29,23 @@ Row = dict[str, Any]
 
 
 def add_figure_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `figure`."""
+    """Add the options of `figure`."""
     parser.add_argument("study", type=Path, metavar="DIR", help="folder of a finished sweep")
-    parser.add_argument("--x", required=True, metavar="SETTING", help="along the axis")
+    parser.add_argument("--x", required=True, metavar="SETTING", help="setting on the x axis")
     parser.add_argument(
         "--y",
         action="append",
         metavar="COLUMN",
-        help=f"{STOOD} (default), {FELL}, or a column, averaged over those standing; repeatable",
+        help=f"{STOOD} (default), {FELL}, or a column: its mean over standing trials; repeatable",
     )
-    parser.add_argument("--by", metavar="SETTING", help="a line, or a row of a map, for each value")
-    parser.add_argument("--map", action="store_true", help="a map of squares instead of lines")
-    parser.add_argument("--panels", metavar="SETTING", help="a panel for each value")
+    parser.add_argument("--by", metavar="SETTING", help="a line, or a row of the map, per value")
+    parser.add_argument("--map", action="store_true", help="draw a map of squares instead of lines")
+    parser.add_argument("--panels", metavar="SETTING", help="a panel per value")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
 
 
 def run_figure(arguments: argparse.Namespace) -> int:
-    """Draw one figure; 0."""
+    """Draw one figure. Return 0."""
     rows = read_trials(arguments.study).to_pylist()
     columns = arguments.y or [STOOD]
     for name in (arguments.x, arguments.by, arguments.panels, *columns):
@@ -74,9 +74,9 @@ def draw_figure(
     as_map: bool,
     out: Path,
 ) -> None:
-    """A line of panels for each of `columns`, with a line or a row of a map for each value of `by`.
+    """Draw a row of panels for each of `columns`, with a line or a map row for each value of `by`.
 
-    Values stand in the order in which the rows have them. ConfigError if it cannot be written.
+    Values keep the order that they have in `rows`. Raise ConfigError if `out` cannot be written.
     """
     chosen_by_panel = _groups(rows, panels)
     figure, axes = plt.subplots(
@@ -100,7 +100,7 @@ def draw_figure(
         if as_map:
             line[0].set_ylabel(by)
         else:
-            line[0].set_ylabel(f"part that {column}, 95 %" if column in _PARTS else column)
+            line[0].set_ylabel(f"part that {column}, 95 % interval" if column in _PARTS else column)
     if by and not as_map:
         axes[0, 0].legend(fontsize=8, title=by, title_fontsize=8)
     save_figure(figure, out, what="figure")
@@ -114,7 +114,7 @@ def _groups(rows: Sequence[Row], name: str | None) -> dict[str, list[Row]]:
 
 
 def _value(rows: Sequence[Row], column: str) -> tuple[float, tuple[float, float], str] | None:
-    """What a group comes to, its bounds, and how it is written; None if there is nothing to say."""
+    """The value of a group, its bounds and its label; None for a group without a value."""
     played = [row for row in rows if row["error"] is None]
     standing = [row for row in played if not row["fell"]]
     if column in _PARTS:
@@ -131,7 +131,7 @@ def _value(rows: Sequence[Row], column: str) -> tuple[float, tuple[float, float]
 def _draw(
     axis: Any, xs: Sequence[str], groups: dict[str, list[Row]], column: str, label: str
 ) -> None:
-    """A line over `xs`, interrupted where its group has nothing to say."""
+    """Draw a line over `xs` with a gap where a group has no value."""
     nothing = (np.nan, (np.nan, np.nan), "")
     points = [_value(groups.get(x, []), column) or nothing for x in xs]
     ys = [value for value, _, _ in points]

@@ -1,9 +1,9 @@
-"""All nodes in one process on a simulated clock: an event queue instead of threads and sleep.
+"""Lockstep: all nodes in one process on a simulated clock, with an event queue.
 
-The nodes, the codec and the delay lines are those of a live run; only clock, bus and driver differ.
-Events run in the order of (time, rank, number); at equal times deliveries come before the edge's
-answers and those before the robot's phases. Compute times are configured, never measured, so the
-same configuration and seed give the same run to the last bit.
+The nodes, the codec and the delay lines are those of a live run. Clock, bus and driver differ.
+Events run in the order of (time, rank, number). At equal times the order is: deliveries, the edge's
+answers, the robot's phases. Compute times are configured, never measured. The same configuration
+and seed therefore give the same trial to the last bit.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _RANK_DELIVERY, _RANK_EDGE, _RANK_MEASURE, _RANK_COMMAND = range(4)
 
 @dataclass(frozen=True)
 class TrialResult:
-    """Summary of a trial, and its telemetry rows."""
+    """The summary of a trial and its telemetry rows."""
 
     summary: dict[str, Any]
     schema: Schema
@@ -60,10 +60,10 @@ class TrialResult:
 
 
 class Lockstep:
-    """One trial. `run` plays it to the end of its duration or the robot's fall.
+    """One trial. `run` plays it until its duration has passed or the robot falls.
 
-    With `all_active_sets`, states that the edge did not solve are solved after the trial, for the
-    discrepancy of the active set; of interest to the metrics only. `make_motion` and
+    With `all_active_sets`, states that the edge did not solve are solved after the trial. They give
+    the discrepancy of the active set at every tick, and change metrics only. `make_motion` and
     `make_controller` replace the task and the robot's controller that the configuration names.
     """
 
@@ -97,11 +97,11 @@ class Lockstep:
         self._connect(robot.name)
 
     def at(self, time_ns: int, rank: int, action: Callable[[], None]) -> None:
-        """Schedule an action."""
+        """Schedule an action at a time [ns]; at equal times a lower rank runs first."""
         heapq.heappush(self._events, (time_ns, rank, next(self._numbers), action))
 
     def run(self) -> TrialResult:
-        """Play the trial."""
+        """Play the trial. Raise LinkError if no answer arrives within `loop.connect_timeout`."""
         started = time.perf_counter()
         duration_ns = round(self.config.duration * 1e9)
         waiting_limit_ns = round(self.config.loop.connect_timeout * 1e9)
@@ -111,9 +111,9 @@ class Lockstep:
             action()
             if not self.robot.running and self.clock.time_ns > waiting_limit_ns:
                 raise LinkError(
-                    f"no projector within {self.config.loop.connect_timeout:g} s of simulated "
-                    f"time: network {self.config.link.network!r} delivers too little; refused: "
-                    f"{dict(self.robot.cache.refused) or 'nothing'}"
+                    f"expected an answer within {self.config.loop.connect_timeout:g} s of "
+                    f"simulated time, got none over network {self.config.link.network!r}; refused "
+                    f"messages: {dict(self.robot.cache.refused) or 'none'}; try another --network"
                 )
         return self._result(wall_seconds=time.perf_counter() - started)
 
@@ -231,7 +231,7 @@ class Lockstep:
         )
 
     def _discrepancy(self, rows: np.ndarray, solve_rows: np.ndarray) -> dict[str, Any]:
-        """The report of the active set, with the states that the edge did not solve, Table VI."""
+        """The report of the active set (Table VI), with the states that the edge did not solve."""
         missed = RowLog(SOLVE_SCHEMA)
         for data in self._unsolved.values():
             state = self._codec.decode_state(data)

@@ -1,4 +1,4 @@
-"""`./wbc settings`: the tables of all settings in `docs/configuration.md`."""
+"""Writes the tables of all settings into `docs/configuration.md`: `./wbc settings`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 
 
 def add_settings_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `settings`."""
+    """Add the options of `settings`."""
     parser.add_argument("--docs", type=Path, default=Path("docs"), metavar="DIR")
 
 
 def run_settings(arguments: argparse.Namespace) -> int:
-    """Write the tables into the page; 0."""
+    """Write the tables into the page. Return 0."""
     page = arguments.docs / PAGE
     try:
         page.write_text(with_tables(page.read_text(encoding="utf-8")), encoding="utf-8")
@@ -33,17 +33,17 @@ def run_settings(arguments: argparse.Namespace) -> int:
 
 
 def with_tables(page: str) -> str:
-    """The page with the tables as they are now; `ConfigError` without a place for them."""
+    """The page with its tables replaced; `ConfigError` for a page without the two markers."""
     before, begin, rest = page.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not (begin and end):
-        raise ConfigError(f"docs: expected {BEGIN} and {END} in {PAGE}, for the tables between")
+        raise ConfigError(f"docs: expected {BEGIN} and {END} in {PAGE}, got none; add them")
     tables = "\n\n".join(_in_markdown(section) for section in SECTIONS)
     return f"{before}{BEGIN}\n\n{tables}\n\n{END}{after}"
 
 
 def _in_markdown(section: Section) -> str:
-    """A heading, what the section says of itself, and a line for each of its settings."""
+    """A heading, the docstring of the section, and a line for each of its settings."""
     heading = f"`[{section.name}]`" if section.name else "On top"
     lines = [_line(key, each) for key, each in section.settings.items()]
     rows = [("setting, flag", "default", "allowed", ""), ("---",) * 4, *lines]

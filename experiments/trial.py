@@ -1,4 +1,4 @@
-"""One lockstep trial from the command line: the same files and exit codes as a live run."""
+"""Plays one trial from the command line, with the files and exit codes of a live run."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA
 
 
 def add_trial_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `trial`."""
+    """Add the options of `trial`."""
     add_run_arguments(parser)
     parser.add_argument(
-        "--json", metavar="FILE", help="write the summary as JSON; - for standard output alone"
+        "--json", metavar="FILE", help="write the summary as JSON; - prints it, and nothing else"
     )
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for the run's files")
 
 
 def run_trial(arguments: argparse.Namespace) -> int:
-    """Play one trial; 0 standing, 3 fell."""
+    """Play one trial. Return 0 if the robot stood, 3 if it fell."""
     config = config_from(arguments)
     result = Lockstep(config).run()
     text = json.dumps(result.summary, indent=2) + "\n"
@@ -47,7 +47,7 @@ def run_trial(arguments: argparse.Namespace) -> int:
 
 
 def write_run(out: Path, config: RunConfig, result: TrialResult) -> None:
-    """The files of a run, as `deploy/up` leaves them, without logs and recording."""
+    """Write the files of a run that `deploy/up` writes, without logs and recording."""
     out.mkdir(parents=True, exist_ok=True)
     text = dump_config(config, versions=versions())
     (out / "config.toml").write_text(text, encoding="utf-8")

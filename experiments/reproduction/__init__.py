@@ -1,1 +1,1 @@
-"""The paper's tables and figures made anew, beside the numbers that it prints."""
+"""Reproduction of the paper's tables and figures, beside the numbers that the paper prints."""

@@ -1,4 +1,4 @@
-"""What the paper concludes: does it hold in our rows, and by what numbers?"""
+"""The paper's conclusions: whether each holds in our trials, and the numbers that show it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from experiments.studies.bisection import median_interval
 
 @dataclass(frozen=True)
 class Claim:
-    """A sentence, whether it holds (None: not played), and the numbers that say so."""
+    """A conclusion, whether it holds (None: not played), and the numbers that show it."""
 
     sentence: str
     holds: bool | None
@@ -41,7 +41,7 @@ class Claim:
 
 
 def claims(results: Results) -> list[Claim]:
-    """All of them, in the order of the tables."""
+    """All conclusions, in the order of the tables."""
     tables = (TABLE_II, TABLE_II_RIGID, TABLE_III)
     return [
         *(no_worse_at_every_delay(results, table, VIOLATION) for table in tables),
@@ -57,7 +57,7 @@ def claims(results: Results) -> list[Claim]:
 
 
 def no_worse_at_every_delay(results: Results, table: DelayTable, metric: str) -> Claim:
-    """At each delay at which either stands at all."""
+    """LA's error is at most PR's at each delay at which a trial of LA or PR stood."""
     name, _, _ = METRIC_IN_WORDS[metric].partition(" [")
     sentence = f"{table.title}: LA's {name} ≤ PR's at every delay"
     found = outcomes(results.rows(table.study), table)
@@ -72,24 +72,24 @@ def no_worse_at_every_delay(results: Results, table: DelayTable, metric: str) ->
     text = [f"{delay} ms {_pair(la, pr, metric)}" for delay, (la, pr) in compared.items()]
     because = f"LA / PR over the seeds in which both stood: {', '.join(text)}"
     if worse:
-        because = f"not at {', '.join(map(str, worse))} ms; {because}"
+        because = f"not so at {', '.join(map(str, worse))} ms; {because}"
     return Claim(sentence, not worse, because)
 
 
 def tolerates(results: Results, table: DelayTable) -> Claim:
-    """Judged by the seed that falls first."""
+    """Every seed of LA stands the longest delay at which the paper's LA stands."""
     paper = paper_tolerance(table, "la")
-    sentence = f"{table.title}: LA stands the paper's most, {paper} ms, with every seed"
+    sentence = f"{table.title}: LA stands the paper's longest delay, {paper} ms, with every seed"
     found = tolerances(results, table, "la")
     if not found:
         return Claim(sentence, None)
     median = median_interval(found).median
-    because = f"{len(found)} seeds: least {found[0]} ms, median {median:g} ms"
+    because = f"longest delay of {len(found)} seeds: least {found[0]} ms, median {median:g} ms"
     return Claim(sentence, found[0] >= paper, because)
 
 
 def remote_falls(results: Results, table: DelayTable) -> Claim:
-    """The paper's PR falls from some delay on."""
+    """PR falls at every delay above the longest at which the paper's PR stands."""
     found = outcomes(results.rows(table.study), table)
     falls = [delay for delay in found if delay > paper_tolerance(table, "pr")]
     sentence = f"{table.title}: PR always falls beyond {paper_tolerance(table, 'pr')} ms"
@@ -101,7 +101,7 @@ def remote_falls(results: Results, table: DelayTable) -> Claim:
 
 
 def success(results: Results, scenario: str, task: str) -> Claim:
-    """In one cell of Table IV, all profiles together."""
+    """LA's success rate in one cell of Table IV, over all profiles, reaches the paper's."""
     paper = five_g.success_percent(scenario, task, "la")
     sentence = f"Table IV, {scenario}, {task}: LA's success ≥ the paper's {paper:.0f} %"
     la = five_g.outcomes(results, scenario, task)["la"]
@@ -111,7 +111,7 @@ def success(results: Results, scenario: str, task: str) -> Claim:
 
 
 def remote_walk_falls(results: Results, scenario: str) -> Claim:
-    """The paper's PR never walks."""
+    """PR falls in every walk of Table IV, as in the paper."""
     sentence = f"Table IV, {scenario}, walk: PR always falls"
     pr = five_g.outcomes(results, scenario, "walk")["pr"]
     if not pr.played:

@@ -1,4 +1,4 @@
-"""Table V: what the full QP and the local controller take, beside the paper's times."""
+"""Table V: computation times of the full QP and the local controller, beside the paper's."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _KINDS = ("mean", "worst")
 
 
 def computation_tables(results: Results) -> list[Table]:
-    """Beside the paper's, then whatever was measured, and the messages; [] if nothing was."""
+    """Three tables: times beside the paper's, all times, messages; [] without a measurement."""
     times = results.compute_times
     if times is None:
         return []
@@ -51,8 +51,10 @@ def computation_verdicts(results: Results) -> list[Verdict]:
 
 
 def local_is_cheaper(results: Results) -> tuple[bool | None, str]:
-    """Whether LA's controller takes less time than the QP, in the mean and in the worst tick
-    undisturbed, and by how much."""
+    """Check that LA's controller takes less time than the QP; with the times in words.
+
+    Compared are the mean and the worst undisturbed tick. (None, "") without a measurement.
+    """
     times = results.compute_times
     if times is None:
         return None, ""
@@ -62,7 +64,7 @@ def local_is_cheaper(results: Results) -> tuple[bool | None, str]:
 
 
 def _clocks(times: ComputeTimes) -> dict[str, float]:
-    """The paper's two clocks, and what our times are multiplied with for each."""
+    """The paper's two clocks, and for each the factor that multiplies our times."""
     return dict(zip(published()["table5"], (1.0, times.scale), strict=True))
 
 
@@ -76,7 +78,7 @@ def _paper(clock: str, which: str, kind: str) -> float:
 
 
 def _verdict(times: ComputeTimes, clock: str, which: str, kind: str) -> Verdict:
-    """Same ordering: the local controller takes less than the QP."""
+    """The verdict on one time; the ordering is that the local controller takes less than the QP."""
     ours = _ms(times, which, kind, _clocks(times)[clock])
     local, qp = (_ms(times, name, kind, 1.0) for name in ("local", "qp"))
     return verdict(within(ours, _paper(clock, which, kind)), local < qp)
@@ -84,7 +86,8 @@ def _verdict(times: ComputeTimes, clock: str, which: str, kind: str) -> Verdict:
 
 def _note(times: ComputeTimes) -> str:
     return (
-        f"The paper's core is a Xeon at these clocks; ours, {times.cpu}, at its own speed for the "
-        f"first and with times × {times.scale:g} for the second. Judged is the worst tick "
-        "undisturbed, since the worst of all is what else the machine had to do."
+        f"The paper's core is a Xeon at these clocks. Our core is {times.cpu}. Our times stand "
+        f"unscaled beside the first clock and × {times.scale:g} beside the second. The verdict "
+        "uses the worst undisturbed tick, because other work of the machine causes the worst tick "
+        "of all."
     )

@@ -1,12 +1,13 @@
-"""Table V: how long the full QP takes and how long the local controllers, in a walk; bytes too.
+"""Table V: computation times of the full QP and the local controllers in a walk; message sizes.
 
 Each controller walks in lockstep over one profile of the burning building, with the garbage
-collector off and the process on one core. What the robot and the edge compute is timed in place,
-between the other's work and the simulator's, so with colder caches than on computers of their own;
-the full QP is timed on the states that LA measured. Repetitions of a walk are the same to the last
-bit, so that the least of a tick's times is free of what interrupted the others.
+collector off and the process on one core. The computations of the robot and the edge are timed in
+place, between those of the other node and of the plant. Their caches are therefore colder than on
+two computers. The full QP is timed on the states that LA measured. Repetitions of a walk are the
+same to the last bit, so the least of a tick's times is the one with the fewest interruptions.
 
-A slow computer's times are these times a compute-time scale. That is a model: no clock was changed.
+A slow computer's times are these times multiplied by a compute-time scale. That is a model: no
+clock was changed.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ EDGE_STEP = {name: f"{name.upper()} edge step: answer a state, encode" for name 
 
 @dataclass(frozen=True)
 class Time:
-    """What one computation took in `calls` calls [ms].
+    """Times of one computation over `calls` calls [ms].
 
-    `undisturbed_worst_ms`: the worst call, of each call the least of its repetitions.
+    `undisturbed_worst_ms` is the maximum over the calls of the minimum over the repetitions.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Time:
 
     @classmethod
     def of(cls, name: str, durations_ns: np.ndarray) -> Time:
-        """From durations, shape (repetitions, calls)."""
+        """Statistics of durations [ns], shape (repetitions, calls)."""
         ms = durations_ns * 1e-6
         return cls(
             name=name,
@@ -70,13 +71,13 @@ class Time:
 
     @property
     def quantiles_ms(self) -> tuple[float, float, float, float]:
-        """Mean, p99, worst, and the worst undisturbed."""
+        """Mean, p99, worst, and worst undisturbed call."""
         return self.mean_ms, self.p99_ms, self.worst_ms, self.undisturbed_worst_ms
 
 
 @dataclass(frozen=True)
 class MessageSize:
-    """Messages of one controller in one direction: how large, and how many each second."""
+    """Size [bytes] and rate [1/s] of the messages of one controller in one direction."""
 
     controller: str
     direction: str
@@ -87,7 +88,7 @@ class MessageSize:
 
 @dataclass(frozen=True)
 class ComputeTimes:
-    """Table V as measured here. `scale` is the compute-time scale of the robot's slow computer."""
+    """Table V, measured. `scale` is the compute-time scale of the robot's slow computer."""
 
     network: str
     seconds: float
@@ -106,7 +107,7 @@ class ComputeTimes:
         return ["", *measured, *(f"× {self.scale:g}: {name}" for name in measured)]
 
     def rows(self) -> list[list[str]]:
-        """A line of words for each computation, at full speed and scaled."""
+        """A line of text for each computation, at full speed and scaled."""
         return [
             [
                 each.name,
@@ -122,7 +123,7 @@ class ComputeTimes:
     message_columns = ("", "direction", "bytes per message, mean", "most", "messages per second")
 
     def message_rows(self) -> list[list[str]]:
-        """A line of words for each controller and direction."""
+        """A line of text for each controller and direction."""
         return [
             [
                 each.controller.upper(),
@@ -136,13 +137,14 @@ class ComputeTimes:
 
     @property
     def note(self) -> str:
-        """How it was measured, in a sentence or two."""
-        core = "one core" if self.pinned else "no core of its own (the system does not allow it)"
+        """The conditions of the measurement, in sentences."""
+        core = "one core" if self.pinned else "any core (the system does not allow one alone)"
         return (
-            f"Walk of {self.seconds:g} s over {self.network}, played {self.repetitions} × on "
-            f"{core}; the first {WARM_UP_TICKS} ticks left out; garbage collector off; {self.cpu}. "
-            "Undisturbed: the worst tick, of each tick the least of its repetitions. "
-            f"× {self.scale:g} is the compute-time scale, a factor and not another clock."
+            f"A walk of {self.seconds:g} s over {self.network} was played {self.repetitions} × on "
+            f"{core}. The first {WARM_UP_TICKS} ticks are left out. The garbage collector was off. "
+            f"The processor was {self.cpu}. *Undisturbed* is the worst tick, with the least time "
+            f"of its repetitions for each tick. × {self.scale:g} is the compute-time scale, a "
+            "factor and not another clock."
         )
 
     def time(self, name: str) -> Time:
@@ -150,12 +152,12 @@ class ComputeTimes:
         return next(each for each in self.times if each.name == name)
 
     def as_json(self) -> dict[str, Any]:
-        """For `json.dumps`."""
+        """The fields as a dictionary for `json.dumps`."""
         return dataclasses.asdict(self)
 
     @classmethod
     def from_json(cls, fields: dict[str, Any]) -> ComputeTimes:
-        """What `as_json` gave."""
+        """Read the dictionary that `as_json` returned."""
         times = tuple(Time(**each) for each in fields["times"])
         messages = tuple(MessageSize(**each) for each in fields["messages"])
         return cls(**{**fields, "times": times, "messages": messages})
@@ -164,9 +166,9 @@ class ComputeTimes:
 def measure(
     *, repetitions: int = 3, seconds: float | None = None, network: str = NETWORK, seed: int = 0
 ) -> ComputeTimes:
-    """Play the walk `repetitions` times with each controller; `seconds` of it, or all.
+    """Play the walk `repetitions` times with each controller, and time its computations.
 
-    At least one second, so that something is left after the warm-up.
+    `seconds` shortens the walk. It must be at least 1 s, so that ticks are left after the warm-up.
     """
     given = {"task": "walk", "link.network": network, "seed": seed, "walk.double_support": 0.005}
     if seconds is not None:

@@ -1,4 +1,4 @@
-"""Tables II and III: constant round trips, and the longest that each seed stands."""
+"""Tables II and III: constant round trips, and the longest round trip that each seed stands."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ _ByName = dict[str, Outcome]
 
 @dataclass(frozen=True)
 class DelayTable:
-    """Where one of the two tables, on one plant, comes from.
+    """The source of Table II or III on one plant.
 
-    `label` is the column of its rows that says the delay, `delay_format` how. The full QP without
-    delay is that of the study `reference`, or LA's own row at 0 ms.
+    `label` is the column of its rows that holds the delay, `delay_format` the format of that
+    column. The full QP without delay comes from the study `reference`. If that is None, it is LA's
+    row at 0 ms.
     """
 
     title: str
@@ -76,7 +77,7 @@ def outcomes(rows: Sequence[Row], table: DelayTable) -> dict[int, _ByName]:
 
 
 def delay_tables(results: Results, table: DelayTable) -> list[Table]:
-    """Who stood, and each error, over constant delays, beside the paper's; [] if not played."""
+    """Trials that stood, and each error, by delay, beside the paper's; [] if not played."""
     found = outcomes(results.rows(table.study), table)
     if not found:
         return []
@@ -102,7 +103,7 @@ def delay_tables(results: Results, table: DelayTable) -> list[Table]:
 
 
 def delay_verdicts(results: Results, table: DelayTable) -> list[Verdict]:
-    """Verdicts on all numbers of the paper's table, as far as played."""
+    """Verdicts on all numbers of the paper's table for which trials were played."""
     found = outcomes(results.rows(table.study), table)
     judged = [
         _verdict(table, delay, by_name, name, metric)
@@ -114,7 +115,7 @@ def delay_verdicts(results: Results, table: DelayTable) -> list[Verdict]:
 
 
 def tolerance_table(results: Results, tables: Sequence[DelayTable]) -> Table | None:
-    """The longest delay that each seed stands, per controller; None if none was looked for."""
+    """The longest delay that each seed stands, per controller; None without a bisection."""
     lines = [
         _tolerance_line(results, table, name)
         for table in tables
@@ -127,9 +128,9 @@ def tolerance_table(results: Results, tables: Sequence[DelayTable]) -> Table | N
         "Maximal tolerable delay: the longest round trip that a seed stands [ms], by bisection",
         ["", "", "seeds", "median", "interval of the median", "least", "paper", "verdict"],
         lines,
-        note="≥: the longest that was tried. A bisection takes a robot that falls at one delay to "
-        "fall at longer ones. The paper gives LA's limit; for PR stands the longest delay of its "
-        "table at which it did not fall.",
+        note="≥ marks the longest delay that was tried. A bisection assumes that a robot which "
+        "falls at one delay falls at every longer one. The paper gives LA's limit. For PR the "
+        "column *paper* has the longest delay of the paper's table at which PR did not fall.",
     )
 
 
@@ -177,7 +178,7 @@ def _verdict(table: DelayTable, delay: int, by_name: _ByName, name: str, metric:
 
 
 def _paper(table: DelayTable, metric: str, delay: int, name: str) -> float | None:
-    """What the paper prints; None for a delay that it has not."""
+    """The paper's number; None for a delay that is not in the paper's table."""
     paper = published()[table.paper]
     if delay not in paper["delays_ms"]:
         return None

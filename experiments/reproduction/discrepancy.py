@@ -1,4 +1,4 @@
-"""Table VI: errors by how much the active set in use differs from the true one."""
+"""Table VI: errors by the discrepancy between the active set in use and the true active set."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from experiments.reproduction.verdict import Verdict, verdict, within
 STUDY = "table6"
 TASKS = ("walk", "balance")
 _NOTES = {
-    "balance": " The paper's CoM errors of the balance, 0.01 to 0.06 cm, cannot average to the "
-    "1.37 cm of its Table IV; read in metres they would be 1 to 6 cm."
+    "balance": " The paper's CoM errors in balance, 0.01 to 0.06 cm, cannot average to the 1.37 cm "
+    "of its Table IV. If their unit were metres, they would be 1 to 6 cm."
 }
 _PREFIX = "active_set_discrepancy."
 _COLUMN = {COM_ERROR: ("com_error_m", 100.0), VIOLATION: ("contact_violation_m_s2", 1.0)}
@@ -30,7 +30,7 @@ class AtCardinality:
 
 
 def by_cardinality(rows: Sequence[Row]) -> list[AtCardinality]:
-    """All ticks of the trials that stood, pooled, by cardinality 0, 1, 2, …"""
+    """Ticks and mean errors of some trials, pooled, by cardinality 0, 1, 2, …"""
     longest = max((len(row[_PREFIX + "ticks"]) for row in rows), default=0)
     pooled = []
     for cardinality in range(longest):
@@ -48,7 +48,7 @@ def by_cardinality(rows: Sequence[Row]) -> list[AtCardinality]:
 
 
 def discrepancy_tables(results: Results) -> list[Table]:
-    """Walk and balance, LA beside the paper's and LC beside it; [] if not played."""
+    """Tables of walk and balance: LA beside the paper, then LC; [] if not played."""
     if not results.rows(STUDY):
         return []
     columns = [
@@ -64,7 +64,7 @@ def discrepancy_tables(results: Results) -> list[Table]:
             [str(cardinality), *_la(la, task, cardinality), *_lc(lc, cardinality)]
             for cardinality in range(max(printed, len(la), len(lc)))
         ]
-        note = f"Over all ticks of {_trials(results, task)} trials in the burning building."
+        note = f"Means over all ticks of {_trials(results, task)} trials in the burning building."
         tables.append(Table(f"Table VI, {task}", columns, lines, note=note + _NOTES.get(task, "")))
     return tables
 
@@ -114,7 +114,7 @@ def _error(pooled: Sequence[AtCardinality], cardinality: int, metric: str) -> fl
 
 
 def _verdict(la: Sequence[AtCardinality], task: str, metric: str, cardinality: int) -> Verdict:
-    """Same ordering: above or below the error at cardinality 0, as in the paper."""
+    """The verdict on one error; the ordering is that to the error at cardinality 0."""
     paper = published()["table6"][task][metric]
     ours, without = _error(la, cardinality, metric), _error(la, 0, metric)
     if ours is None or without is None or cardinality >= len(paper):

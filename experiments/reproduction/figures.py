@@ -1,8 +1,8 @@
-"""The paper's Figures 4, 5 and 6, drawn from our links and trials: PNG and SVG.
+"""Figures 4, 5 and 6 of the paper, drawn from our links and trials as PNG and SVG.
 
-Fig. 4 has an instance of the delay in each scenario. Fig. 5 is a balance in the smart factory with
-PR, LA and LC, Fig. 6 a walk there with LA: delay above, CoM error and contact violation below. The
-trials are those of the studies `fig5` and `fig6`, seed 0.
+Fig. 4 shows an instance of the delay in each scenario. Fig. 5 shows a balance in the smart factory
+with PR, LA and LC. Fig. 6 shows a walk there with LA. Both have the delay on top, and the CoM error
+and the contact violation below. The trials are those of the studies `fig5` and `fig6`, seed 0.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from matplotlib.figure import Figure
 
 INSTANCES = {"(a) Smart factory": "factory/011", "(b) Burning building": "building/011"}
 _COLOURS = {"pr": "tab:orange", "la": "tab:blue", "lc": "tab:green"}
-# The same command draws the same bytes.
+# Salt and metadata are fixed, so that the same command draws the same bytes.
 _STYLE: Any = {"svg.hashsalt": "remote-wbc", "font.size": 9, "axes.grid": True, "grid.alpha": 0.3}
 _METADATA = {"png": {"Software": None}, "svg": {"Date": None}}
 
 
 def draw_fig4(folder: Path) -> None:
-    """The round trip over one shipped profile of each scenario."""
+    """Draw the round trip over one shipped profile of each scenario."""
     with mpl.rc_context(_STYLE):
         figure, axes = plt.subplots(1, 2, figsize=(9.0, 2.6), sharex=True)
         for axis, (title, name) in zip(axes, INSTANCES.items(), strict=True):
@@ -45,19 +45,19 @@ def draw_fig4(folder: Path) -> None:
 
 
 def draw_fig5(folder: Path) -> None:
-    """PR, LA and LC in one balance, with the push shaded red."""
+    """Draw PR, LA and LC in one balance, with the push shaded red."""
     study = read_study("fig5")
     traces = {trial.config.controller: play_trace(trial.config) for trial in study.trials}
     network = study.trials[0].config.link.network
     with mpl.rc_context(_STYLE):
         figure = _over_time(traces, f"Balance in the smart factory, {network}; red: the push")
-        # Of three controllers, each has a violation of another order of magnitude.
+        # The violations of the three controllers differ by orders of magnitude.
         figure.axes[2].set(yscale="log", ylim=(1e-4, None))
         _save(figure, folder / "fig5")
 
 
 def draw_fig6(folder: Path) -> None:
-    """LA in one walk, without measurement noise."""
+    """Draw LA in one walk, without measurement noise."""
     config = read_study("fig6").trials[0].config
     traces = {config.controller: play_trace(config)}
     title = f"Walk in the smart factory, {config.link.network}; dotted: contact switches"
@@ -73,7 +73,7 @@ FIGURES: Mapping[str, Callable[[Path], None]] = {
 
 
 def _over_time(traces: Mapping[str, Trace], title: str) -> Figure:
-    """Delay, CoM error and contact violation, one below the other."""
+    """Draw delay, CoM error and contact violation, one below the other."""
     figure, axes = plt.subplots(3, 1, figsize=(8.0, 6.0), sharex=True)
     first = next(iter(traces.values()))
     axes[0].plot(first.time, first.round_trip_ms, color="black", linewidth=0.8)

@@ -21,7 +21,7 @@ _BESIDE = ["PR", "paper", "verdict", "LA", "paper", "verdict", "LC", "full QP, 0
 
 
 def outcomes(results: Results, scenario: str, task: str, *studies: str) -> dict[str, Outcome]:
-    """Outcomes of each controller over the profiles of these studies together."""
+    """Outcomes of each controller over the profiles of these studies together; default: both."""
     rows = [
         row
         for name in studies or (SHIPPED, GENERATED)
@@ -32,7 +32,7 @@ def outcomes(results: Results, scenario: str, task: str, *studies: str) -> dict[
 
 
 def five_g_tables(results: Results) -> list[Table]:
-    """All profiles beside the paper, then shipped and generated ones alone; [] if not played."""
+    """Tables of all profiles, of the shipped and of the generated ones; [] if not played."""
     played = [name for name in (SHIPPED, GENERATED) if results.rows(name)]
     if not played:
         return []
@@ -87,7 +87,7 @@ def _success(found: dict[str, Outcome], scenario: str, task: str, name: str) -> 
 def _error(
     found: dict[str, Outcome], scenario: str, task: str, name: str, metric: str
 ) -> tuple[str, Verdict]:
-    """The paper's error, with the verdict; it prints none where its robot always fell."""
+    """The paper's error and its verdict. The paper prints no error if all its trials fell."""
     paper = published()["table4"][scenario][metric][task].get(name)
     if paper is None:
         return NONE, Verdict.UNKNOWN
@@ -115,7 +115,7 @@ def _alone(results: Results, study: str) -> Table:
 
 
 def _profiles(results: Results) -> str:
-    """How many profiles of each scenario, by where they come from."""
+    """The number of profiles of each scenario, by source, in words."""
     counts = {
         source: len({row["seed"] for row in results.rows(name)})
         for name, source in ((SHIPPED, "shipped ns-3"), (GENERATED, "generated"))

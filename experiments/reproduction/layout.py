@@ -1,4 +1,4 @@
-"""A table of words, for Markdown and for a terminal, and how numbers are written in it."""
+"""A table of text, for Markdown and for a terminal, and the format of its numbers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NONE = "–"
 
 @dataclass(frozen=True)
 class Table:
-    """A heading, columns, lines of as many words, and what must be said below."""
+    """A title, column headings, lines with a text for each column, and a note below."""
 
     title: str
     columns: Sequence[str]
@@ -36,7 +36,7 @@ def in_columns(table: Table) -> str:
 
 
 def number(value: float | None) -> str:
-    """Two decimals as in the paper, more where that would be 0.00."""
+    """Format a number with two decimals as in the paper, with more where that gives 0.00."""
     if value is None:
         return NONE
     if abs(value) >= 0.005 or value == 0.0:
@@ -45,7 +45,7 @@ def number(value: float | None) -> str:
 
 
 def error_in_words(outcome: Outcome, metric: str, *, some: bool = True) -> str:
-    """An error over those standing; with `some`, how many where not all of them did."""
+    """The mean error over the trials that stood; with `some`, also their number if any fell."""
     if not outcome.played:
         return NONE
     if not outcome.stood:
@@ -56,14 +56,14 @@ def error_in_words(outcome: Outcome, metric: str, *, some: bool = True) -> str:
 
 
 def rate_in_words(outcome: Outcome) -> str:
-    """A success rate, with how many stood and its Wilson interval."""
+    """A success rate, with the number of trials that stood and its Wilson interval."""
     if not outcome.played:
         return NONE
     return f"{100 * outcome.rate:.0f} %, {stood_in_words(outcome)}"
 
 
 def stood_in_words(outcome: Outcome) -> str:
-    """How many stood, with the Wilson interval of the rate."""
+    """The number of trials that stood, with the Wilson interval of the rate."""
     if not outcome.played:
         return NONE
     low, high = outcome.interval

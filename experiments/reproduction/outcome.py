@@ -1,4 +1,4 @@
-"""What the trials of a cell came to: who stood, and the paper's two errors over those who did."""
+"""The outcome of a cell: the trials that stood, and the paper's two errors over those trials."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _COLUMN = {COM_ERROR: ("com_error_m", 100.0), VIOLATION: ("contact_violation_m_s
 
 @dataclass(frozen=True)
 class Outcome:
-    """Trials of one controller in one situation; those that ended with an error are left out."""
+    """The trials of one controller in one situation, without trials that ended with an error."""
 
     rows: tuple[Row, ...]
 
@@ -32,17 +32,17 @@ class Outcome:
 
     @property
     def played(self) -> int:
-        """How many trials there are."""
+        """The number of trials."""
         return len(self.rows)
 
     @property
     def stood(self) -> int:
-        """How many of them finished standing."""
+        """The number of trials that finished standing."""
         return len(self._standing)
 
     @property
     def rate(self) -> float:
-        """The part that stood; 0 if none was played."""
+        """The part of the trials that stood; 0 without trials."""
         return self.stood / self.played if self.played else 0.0
 
     @property
@@ -51,11 +51,11 @@ class Outcome:
         return wilson_interval(self.stood, self.played)
 
     def error(self, metric: str) -> float | None:
-        """Mean of a metric over the trials that stood; None if none did."""
+        """Mean of a metric over the trials that stood; None if all fell."""
         return _mean(list(self._standing.values()), metric)
 
     def beside(self, other: Outcome, metric: str) -> tuple[float, float] | None:
-        """Means of both over the trials, same network and seed, in which both stood."""
+        """Means of this and another outcome over the networks and seeds in which both stood."""
         common = [key for key in self._standing if key in other._standing]
         ours = _mean([self._standing[key] for key in common], metric)
         theirs = _mean([other._standing[key] for key in common], metric)

@@ -1,4 +1,4 @@
-"""How the numbers of a report came about: commands, machine, versions, and what each study took."""
+"""The provenance of a report's numbers: commands, machine, versions, and the time of each study."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ About = dict[str, Any]
 
 
 def how_it_was_made(results: Results) -> list[str]:
-    """Paragraphs in Markdown."""
+    """Paragraphs on the provenance, in Markdown."""
     abouts = {name: results.about(name) for name in STUDIES if results.rows(name)}
     if not abouts:
         return ["No study has been played."]
@@ -26,9 +26,9 @@ def how_it_was_made(results: Results) -> list[str]:
         f"Machine: {_each(abouts, _machine)}. Versions: {_each(abouts, _versions)}. Commit: "
         f"{_each(abouts, _commit)}.",
         "Trials run on a simulated clock: the same configuration and seed give the same trial to "
-        "the last bit. `./wbc check docs/results/trials/STUDY` plays a sample of "
-        "them again and compares. Seed k has the same noise and the same profile in every cell of "
-        "a study.",
+        "the last bit. `./wbc check docs/results/trials/STUDY` plays a sample of the trials again "
+        "and compares the rows. Seed k has the same noise and the same profile in every cell of a "
+        "study.",
         in_markdown(_studies(results, abouts)),
     ]
 
@@ -55,12 +55,12 @@ def _studies(results: Results, abouts: Mapping[str, About]) -> Table:
         ["together", str(trials), "", "", f"{minutes:.1f}", f"{trials / minutes:.1f}", "", ""]
     )
     columns = ["study", "trials", "seeds", "ended with an error"]
-    columns += ["minutes of a core", "trials per minute of a core", "finished", "kept"]
-    return Table("What was played", columns, lines)
+    columns += ["core minutes", "trials per core minute", "finished", "trials of other code"]
+    return Table("Studies", columns, lines)
 
 
 def _each(abouts: Mapping[str, About], describe: Callable[[About], str]) -> str:
-    """What is said of the studies, each different thing once."""
+    """The descriptions of the studies, each different description once."""
     return "; ".join(dict.fromkeys(describe(about) for about in abouts.values()))
 
 

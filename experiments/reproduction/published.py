@@ -1,4 +1,4 @@
-"""What the paper prints in Tables II to VI: `published.toml`."""
+"""The numbers that the paper prints in Tables II to VI: `published.toml`."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ from shared.config.toml_file import read_toml
 
 @functools.cache
 def published() -> dict[str, Any]:
-    """The tables by name, `table2` to `table6`, as in the file; inf where the robot fell."""
+    """The tables by name, `table2` to `table6`, as in the file; inf stands for a fall."""
     return read_toml(Path(__file__).with_name("published.toml"), what="the paper's numbers")

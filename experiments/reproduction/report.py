@@ -1,7 +1,8 @@
-"""`./wbc report`: a page of what `run` has found, with its trials and figures.
+"""Writes a page of the results of `run`, with its trials and figures: `./wbc report`.
 
-`docs/results.md`, figures beside it, and under `docs/results/trials/STUDY` the table, the study
-and how it was made, which is what `./wbc check` plays a sample of again.
+The page is `docs/results.md`, with figures in `docs/figures`. Each folder
+`docs/results/trials/STUDY` has the table of trials, the study and its provenance. `./wbc check`
+plays a sample of these trials again.
 """
 
 from __future__ import annotations
@@ -26,24 +27,26 @@ _KEPT = ("study.toml", "trials.parquet", "about.json")
 _FIGURES = {
     "fig4": (
         "Figure 4: an instance of the delay in each scenario",
-        "Round trip of a message sent at each instant, over one shipped profile of each scenario.",
+        "Round trip of a message, by the time of its sending, over one shipped profile of each "
+        "scenario.",
     ),
     "fig5": (
         "Figure 5: balance over a stalling link",
-        "From the end of the push (red) on, the link stalls for 155 ms. The axis of the violation "
-        "is logarithmic.",
+        "The link stalls for 155 ms from the end of the push (red). The axis of the violation is "
+        "logarithmic.",
     ),
     "fig6": (
         "Figure 6: a walk of LA through two outages",
-        "Contact violation rises with the age of the projector and falls when an answer comes, "
-        "also where the outage covers a contact switch (dotted, 2.6 s and 4.2 s), around which the "
-        "robot solves QPs itself. No measurement noise, as in the paper.",
+        "The contact violation rises with the age of the projector and falls when an answer comes. "
+        "This also holds where the outage covers a contact switch (dotted, 2.6 s and 4.2 s). "
+        "Around a switch the robot solves QPs itself. There is no measurement noise, as in the "
+        "paper.",
     ),
 }
 
 
 def add_report_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `report`."""
+    """Add the options of `report`."""
     parser.add_argument(
         "--out", type=Path, default=DEFAULT_OUT, metavar="DIR", help="folder of `run`"
     )
@@ -51,11 +54,11 @@ def add_report_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_report(arguments: argparse.Namespace) -> int:
-    """Write the page and copy what it rests on; prints which claims hold."""
+    """Write the page and copy its figures and trials. Print which conclusions hold."""
     results = Results(arguments.out)
     if not results.folder.is_dir():
         raise ConfigError(
-            f"out: expected a folder of `wbc run`, got {results.folder}: no such folder"
+            f"out: expected a folder of `wbc run`, got {results.folder}, which does not exist"
         )
     found = claims(results)
     page = arguments.docs / "results.md"
@@ -75,14 +78,15 @@ def report_text(results: Results, found: Sequence[Claim]) -> str:
     """The page in Markdown."""
     parts = [
         "# The paper's tables and figures, made anew",
-        "H. Zhu et al., *Enabling Remote Whole-Body Control with 5G Edge Computing* (2020), "
-        "Tables II–VI and Figures 4–6: our trials beside the numbers that the paper prints. PR "
-        "applies the last torque received, LA the last projector to fresh feedback; LC, ours, "
-        "corrects a factorisation locally; *full QP, 0 ms* is solved for every state without "
-        "delay. This page is written by `./wbc report`. Why numbers differ, and "
-        "what the paper leaves open: [reproduction.md](reproduction.md).",
+        "This page has Tables II–VI and Figures 4–6 of H. Zhu et al., *Enabling Remote Whole-Body "
+        "Control with 5G Edge Computing* (2020), with our trials beside the paper's numbers. PR "
+        "applies the last torque received. LA applies the last projector to fresh feedback. LC, "
+        "the project's controller, corrects a factorisation on the robot. *Full QP, 0 ms* solves "
+        "the QP of every state without delay. `./wbc report` writes this page. "
+        "[reproduction.md](reproduction.md) explains why numbers differ, and lists the "
+        "assumptions that the paper leaves open.",
         *_missing(results),
-        "## What the paper concludes, checked",
+        "## The paper's conclusions, checked",
         "\n".join(f"* {claim}" for claim in found),
         "## How numbers are judged",
         RULE,
@@ -101,7 +105,7 @@ def report_text(results: Results, found: Sequence[Claim]) -> str:
 
 
 def _missing(results: Results) -> list[str]:
-    """What has not been played, and what was played shorter than it is shipped."""
+    """Notes on studies that have not been played, and on studies played with `--quick`."""
     absent = [name for name in STUDIES if not results.rows(name)]
     absent += ["table5"] * (results.compute_times is None)
     absent += [
@@ -112,11 +116,11 @@ def _missing(results: Results) -> list[str]:
     notes = []
     if absent:
         notes.append(
-            f"> **Incomplete.** Not there: {', '.join(absent)}. `./wbc run all"
-            f"{' --quick' * bool(short)} --out {results.folder}` goes on with it."
+            f"> **Incomplete.** Missing: {', '.join(absent)}. `./wbc run all"
+            f"{' --quick' * bool(short)} --out {results.folder}` plays them."
         )
     if short:
-        notes.append(f"> **Quick.** With `--quick`, on few seeds: {', '.join(short)}.")
+        notes.append(f"> **Quick.** Played with `--quick`, on few seeds: {', '.join(short)}.")
     return notes
 
 
@@ -133,7 +137,7 @@ def _summary(results: Results) -> Table:
 
 
 def _copy(results: Results, docs: Path) -> None:
-    """Figures and trials beside the page."""
+    """Copy figures and trials to the folder of the page."""
     for source in sorted((results.folder / FIGURE_FOLDER).glob("fig*")):
         target = docs / "figures" / source.name
         target.parent.mkdir(parents=True, exist_ok=True)

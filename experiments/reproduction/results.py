@@ -1,4 +1,4 @@
-"""What `run` has left in its folder: rows by study, limits of bisections, computation times."""
+"""The results in the folder of `run`: rows by study, limits of bisections, computation times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COMPUTE_TIMES = "compute-times.json"
 
 @dataclass(frozen=True)
 class Results:
-    """The folder of `run`, each study read once; one that it has not finished has no rows."""
+    """The folder of `run`. Each study is read once. An unfinished study has no rows."""
 
     folder: Path
     _rows: dict[str, list[Row]] = field(default_factory=dict)
@@ -35,7 +35,7 @@ class Results:
         return self._rows[name]
 
     def limits(self, name: str) -> Sequence[Limit]:
-        """Limits that a study's bisections have found; [] if it is not finished."""
+        """Limits from a study's bisections; [] if it is not finished."""
         if name not in self._limits:
             rows = self.rows(name)
             self._limits[name] = limits(read_study(self.folder / name), rows) if rows else []
@@ -49,7 +49,7 @@ class Results:
 
     @property
     def compute_times_file(self) -> dict[str, Any] | None:
-        """The same with `code`, the version that was measured, and `quick`, whether in short."""
+        """The file of the times, with `code` (the measured version) and `quick`; None without."""
         path = self.folder / COMPUTE_TIMES
         if not path.is_file():
             return None
@@ -57,13 +57,13 @@ class Results:
         return file
 
     def about(self, name: str) -> dict[str, Any]:
-        """Where and how a finished study was played."""
+        """The provenance of a finished study: its `about.json`."""
         text = (self.folder / name / "about.json").read_text(encoding="utf-8")
         about: dict[str, Any] = json.loads(text)
         return about
 
     def shortened(self, name: str) -> bool:
-        """Whether a finished study was played by `--quick`, which leaves its [quick] out."""
+        """Return whether a finished study was played with `--quick`: its file has no [quick]."""
         if not self.rows(name):
             return False
         return "quick" not in read_toml(self.folder / name / "study.toml", what="study")

@@ -1,7 +1,7 @@
-"""`./wbc run table2 fig5 …`: plays what a table or figure needs, and prints it.
+"""Plays the trials of the paper's tables and figures and prints them: `./wbc run table2 fig5 …`.
 
-Each study goes into a folder of its own below `--out`, where finished trials are kept, so that the
-same command goes on after an interruption. Whatever is shared by several tables is played once.
+Each study has a folder below `--out`, which keeps finished trials. The same command therefore
+continues after an interruption. A study that several tables share is played once.
 """
 
 from __future__ import annotations
@@ -25,47 +25,47 @@ from shared.errors import ConfigError
 from shared.process.cli import EXIT_STANDING
 
 ALL = "all"
-# Computation times first, while the cores are idle; then the cheapest.
+# Computation times come first, while the cores are idle; the cheapest tables and figures follow.
 NAMES = ("table5", *FIGURES, *(name for name in SECTIONS if name != "table5"))
 DEFAULT_OUT = Path("runs") / "reproduction"
 QUICK_OUT = Path("runs") / "reproduction-quick"
 
 
 def add_reproduction_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `run`."""
+    """Add the options of `run`."""
     parser.add_argument(
         "names", nargs="+", metavar="NAME", help=f"{', '.join(sorted(NAMES))}, or {ALL}"
     )
     parser.add_argument("--quick", action="store_true", help="fewer seeds and delays: minutes")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
     parser.add_argument(
-        "--scheduler", metavar="tcp://HOST:8786", help="play on this Dask cluster instead"
+        "--scheduler", metavar="tcp://HOST:8786", help="play on the Dask cluster there"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help=f"default {DEFAULT_OUT}, of --quick {QUICK_OUT}"
+        "--out", type=Path, metavar="DIR", help=f"default {DEFAULT_OUT}, with --quick {QUICK_OUT}"
     )
-    parser.add_argument("--keep-code", action="store_true", help="take trials of other code too")
+    parser.add_argument("--keep-code", action="store_true", help="use trials of other code too")
 
 
 def run_reproduction(arguments: argparse.Namespace) -> int:
-    """Play, measure and draw what is asked for, and print each table."""
+    """Play, measure and draw the named tables and figures. Print each table."""
     names = chosen(arguments.names)
     if arguments.scheduler is not None and arguments.workers is not None:
-        raise ConfigError("--workers: the cluster of --scheduler has its own; expected one of them")
-    workers_from(arguments.workers)  # a number that cannot be is an error before anything is played
+        raise ConfigError("--workers: expected without --scheduler, got both; leave out --workers")
+    workers_from(arguments.workers)  # an invalid number is an error before any trial is played
     out = arguments.out or (QUICK_OUT if arguments.quick else DEFAULT_OUT)
     try:
         _run(names, out, arguments)
     except OSError as error:
         raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
     except KeyboardInterrupt:
-        print("interrupted; the same command goes on", file=sys.stderr)
+        print("interrupted; the same command continues", file=sys.stderr)
         raise
     return EXIT_STANDING
 
 
 def chosen(names: Sequence[str]) -> list[str]:
-    """The names to run, in the order of NAMES; ConfigError for one that does not exist."""
+    """The names to run, in the order of NAMES; ConfigError for an unknown name."""
     for name in names:
         if name not in (*NAMES, ALL):
             raise ConfigError(f"run: expected {', '.join(sorted(NAMES))} or {ALL}, got {name!r}")
@@ -90,7 +90,7 @@ def _run(names: Sequence[str], out: Path, arguments: argparse.Namespace) -> None
         for table in SECTIONS[name].tables(Results(out)):
             print(f"\n{in_columns(table)}")
         print(flush=True)
-    _say(f"done: {out}; {wbc(f'report --out {out}')} makes a page of it")
+    _say(f"done: {out}; {wbc(f'report --out {out}')} makes a page of the results")
 
 
 def _play(name: str, out: Path, arguments: argparse.Namespace) -> None:
@@ -104,7 +104,7 @@ def _play(name: str, out: Path, arguments: argparse.Namespace) -> None:
 
 
 def _measure(out: Path, *, quick: bool) -> None:
-    """Computation times, unless this code's are there."""
+    """Measure computation times, unless the folder has those of this code."""
     about = {"code": code_version(), "quick": quick}
     kept = Results(out).compute_times_file
     if kept is not None and about.items() <= kept.items():

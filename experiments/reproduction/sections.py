@@ -1,4 +1,4 @@
-"""The parts of the paper's evaluation by the name that `run` knows, cheapest first."""
+"""The parts of the paper's evaluation, by their names in `run`, cheapest first."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from experiments.reproduction.verdict import Verdict
 
 @dataclass(frozen=True)
 class Section:
-    """A table of the paper: the studies that it takes, what it prints, and how it is judged."""
+    """A table of the paper: the studies that it needs, its tables of text, and its verdicts."""
 
     name: str
     title: str

@@ -1,4 +1,4 @@
-"""Walks in lockstep with a stopwatch: the durations behind Table V."""
+"""Walks in lockstep with timed computations, for Table V."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from shared.wbc.reference import Reference
 from shared.wbc.stack import make_stacks
 from shared.wbc.torque import recover_torque
 
-# Left out of every walk: until then caches and branch predictors are cold.
+# The first ticks of every walk are left out: caches and branch predictors are still cold.
 WARM_UP_TICKS = 200
 
 State = tuple[np.ndarray, np.ndarray, Reference]
 
 
 class TimedWalk:
-    """One walk in lockstep, its computations timed where they are done.
+    """One walk in lockstep, with computations timed in place. All arrays begin after the warm-up.
 
-    After the warm-up: `states` that the robot measured; durations [ns] of every tick, `local_ns` of
-    the local controller, `tick_ns` of all that the robot computes; `edge_ns` of the edge's answers.
+    `states`: the states that the robot measured. `local_ns` and `tick_ns`: time per tick of the
+    local controller and of the whole robot [ns]. `edge_ns`: time per answer of the edge [ns].
     """
 
     def __init__(self, config: RunConfig) -> None:
@@ -48,24 +48,27 @@ class TimedWalk:
         self.tick_ns = schema.column(rows, "tick_ns")[WARM_UP_TICKS:]
         warm = SOLVE_SCHEMA.column(solves, "state_sequence") >= WARM_UP_TICKS
         self.edge_ns = SOLVE_SCHEMA.column(solves, "solve_ns")[warm]
-        # No object of one walk is left to be cleared away in the next.
+        # Free the objects of this walk now, and not during the next one.
         del lockstep
         gc.collect()
 
     @property
     def seconds(self) -> float:
-        """How long it was, to its end or the robot's fall."""
+        """Duration of the walk [s], to its end or the robot's fall."""
         return len(self.result.rows) * 1e-3
 
     def message_bytes(self, direction: int) -> np.ndarray:
-        """Sizes of the messages sent in a direction."""
+        """Sizes of the messages sent in a direction [bytes]."""
         rows = self.result.link_rows
         sent = LINK_SCHEMA.column(rows, "direction") == direction
         return LINK_SCHEMA.column(rows[sent], "bytes")
 
 
 def timed(owner: object, name: str, *, given: list[Any] | None = None) -> list[int]:
-    """Durations [ns] of the calls of a method from now on; its positional arguments in `given`."""
+    """Time the calls of a method from now on. Return the growing list of durations [ns].
+
+    The positional arguments of each call are appended to `given`.
+    """
     method = getattr(owner, name)
     durations: list[int] = []
 
@@ -84,9 +87,10 @@ def timed(owner: object, name: str, *, given: list[Any] | None = None) -> list[i
 def full_controller(
     config: RunConfig, states: Sequence[State], repetitions: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Durations [ns], (repetitions, states), of the QP and of the whole that has it as a part.
+    """Durations of the QP and of the full controller [ns], each of shape (repetitions, states).
 
-    The whole is what a robot without an edge would compute at these states.
+    The full controller is the computation of a robot without an edge at these states. It contains
+    the QP.
     """
     robot = load_robot(config.robot.name)
     model = WholeBodyModel(robot)
@@ -111,7 +115,7 @@ def full_controller(
 
 @contextlib.contextmanager
 def one_core() -> Iterator[bool]:
-    """One core and no garbage collection; whether the system allowed the one core."""
+    """Use one core and no garbage collection. Yield whether the system allowed the one core."""
     before: set[int] | None = None
     with contextlib.suppress(AttributeError, OSError):
         allowed = os.sched_getaffinity(0)

@@ -1,4 +1,4 @@
-"""What a figure plots over time: one trial's errors, and the delay that its messages meet."""
+"""Time series for a figure: the errors of one trial, and the delay of its messages."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from shared.config.settings import RunConfig
 class Trace:
     """Every tick of a task, arrays (n,): `time` [s], `com_error_cm`, `contact_violation_m_s2`.
 
-    `round_trip_ms` is the delay of the state sent in that tick and of its answer, inf where lost.
-    `push` is the time [s] at which it begins and ends, None without. `mode_changes` [s].
+    `round_trip_ms` is the delay of the state sent in that tick plus that of its answer, inf if one
+    is lost. `push` is the pair of times at which the push begins and ends [s], None without a
+    push. `mode_changes` are the times of the contact switches [s].
     """
 
     time: np.ndarray
@@ -30,7 +31,7 @@ class Trace:
 
 
 def play_trace(config: RunConfig) -> Trace:
-    """Play a trial under simulated time, over the profile that it names."""
+    """Play a trial in lockstep over the profile that its configuration names."""
     result = Lockstep(config, all_active_sets=False).run()
 
     def column(name: str) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Our number beside the paper's: same or better, same ordering, or differs.
+"""The verdict on our number beside the paper's: same or better, same ordering, or differs.
 
-RULE is that rule for a reader; `docs/results.md` prints it.
+RULE is the rule in words; `docs/results.md` prints it.
 """
 
 from __future__ import annotations
@@ -10,32 +10,32 @@ from enum import Enum
 
 from experiments.reproduction.outcome import Outcome
 
-# Of the paper's number, and half of the last digit that it prints.
+# A part of the paper's number, and half of the last digit that the paper prints.
 RELATIVE_TOLERANCE = 0.05
 ROUNDING = 0.005
-# The same command twice: projectors go over the link as float32.
+# Projectors cross the link as float32, so errors of equal commands differ by this at most.
 EQUAL = 1e-6
 
 RULE = f"""\
-Every number of the paper has a verdict. A trial stands or falls; an error is the mean over the
-trials that stood, ∞ where none did.
+Every number of the paper has a verdict. A trial stands or falls. An error is the mean over the
+trials that stood, and ∞ if all fell.
 
-* **same or better**: at least as many stood as in the paper (its success rate in Table IV, all of
-  them where it prints an error over a constant delay), and the error is at most
-  {1 + RELATIVE_TOLERANCE:g} × the paper's, plus half of its last digit, {ROUNDING:g}. Where the
-  paper has ∞, any outcome is.
-* **same ordering**: not so, but LA is no worse than PR, as everywhere in the paper: LA stood at
-  least as often, and over the seeds in which both stood its error is not the larger. Where PR never
-  stood, LA did.
-* **differs**: neither.
+* **same or better**: the part of our trials that stood is at least the paper's. In Table IV the
+  paper's part is its success rate. For an error over a constant delay it is all trials. Our error
+  is at most {1 + RELATIVE_TOLERANCE:g} × the paper's plus {ROUNDING:g}, half of the paper's last
+  digit. Where the paper has ∞, every outcome is *same or better*.
+* **same ordering**: the number is not *same or better*, but LA is no worse than PR, as everywhere
+  in the paper. LA stood in some trials, and at least as often as PR. Over the seeds in which both
+  stood, LA's error is at most PR's.
+* **differs**: neither holds.
 
-A limit of delay is judged by its median over the seeds. Tables without PR have an order of their
-own: in Table V the local controller takes less time than the QP; in Table VI an error is above, or
-is not above, that at cardinality 0, as in the paper."""
+A limit of delay is judged by its median over the seeds. Tables without PR have another ordering. In
+Table V the local controller takes less time than the QP. In Table VI an error is above the error at
+cardinality 0 where it is in the paper, and not above it elsewhere."""
 
 
 class Verdict(Enum):
-    """How our number stands to the paper's; UNKNOWN if either is missing."""
+    """The relation of our number to the paper's; UNKNOWN if one of them is missing."""
 
     SAME_OR_BETTER = "same or better"
     SAME_ORDERING = "same ordering"
@@ -44,12 +44,12 @@ class Verdict(Enum):
 
 
 def within(ours: float | None, paper: float) -> bool:
-    """Whether an error or a time is at most the paper's, tolerance included."""
+    """Return whether an error or a time is at most the paper's, tolerance included."""
     return ours is not None and ours <= (1 + RELATIVE_TOLERANCE) * paper + ROUNDING
 
 
 def no_worse(la: Outcome, pr: Outcome, metric: str) -> bool:
-    """Whether LA stood at least as often as PR with an error that is not the larger."""
+    """Return whether LA stood at least as often as PR, with an error of at most PR's."""
     if la.stood == 0 or la.rate < pr.rate:
         return False
     both = la.beside(pr, metric)
@@ -57,7 +57,7 @@ def no_worse(la: Outcome, pr: Outcome, metric: str) -> bool:
 
 
 def verdict(better: bool, ordered: bool) -> Verdict:
-    """The better of two verdicts that is true."""
+    """The verdict from two facts: the number is same or better; its ordering is the paper's."""
     if better:
         return Verdict.SAME_OR_BETTER
     return Verdict.SAME_ORDERING if ordered else Verdict.DIFFERS

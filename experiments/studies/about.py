@@ -1,4 +1,4 @@
-"""How a study was played: `about.json` beside its trials."""
+"""Provenance of a study: `about.json` beside its trials."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from shared.output.versions import cpu_name, versions
 
 
 def about_now(study: Study) -> dict[str, Any]:
-    """What was asked for, on which machine, by which versions, commit and code."""
+    """The study, the date, the machine, the versions, the commit and the identity of the code."""
     status = _git("status", "--porcelain")
     return {
         "study": study.name,
@@ -38,13 +38,13 @@ def commit_in_words(about: Mapping[str, Any]) -> str:
 
 
 def other_codes_in_words(about: Mapping[str, Any]) -> str:
-    """What `--keep-code` kept, by an `about.json`; nothing if there was none."""
+    """The trials of other code that `--keep-code` kept, from an `about.json`; "" if none."""
     others = about.get("other_code", {}).items()
     return ", ".join(f"{count} trials of code {code}" for code, count in others)
 
 
 def other_codes(records: Iterable[Record]) -> dict[str, int]:
-    """How many trials each version of the code played that is not this one (`--keep-code`)."""
+    """The number of trials that each other version of the code played (`--keep-code`)."""
     here = code_version()
     codes = Counter(record.get("code", here) for record in records)
     del codes[here]
@@ -53,7 +53,7 @@ def other_codes(records: Iterable[Record]) -> dict[str, int]:
 
 def _git(*arguments: str) -> str | None:
     command = ["git", "-C", str(ROOT), *arguments]
-    # A hook of another repository names that one.
+    # In a git hook these variables name the repository of the hook.
     here = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     try:
         done = subprocess.run(command, env=here, capture_output=True, text=True, check=True)

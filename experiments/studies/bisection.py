@@ -1,10 +1,10 @@
-"""Limits that bisections have found: how far each seed of each cell stands, and their median.
+"""Limits from bisections: the largest value that each seed of each cell stands, and their median.
 
-A bisection takes the robot to be monotone: if it falls at some value of the setting, it falls at
-every larger one. Its limit is then where standing ends, to within the resolution. A robot that is
-not monotone stands again beyond a value at which it fell; the number is then *a* place between
-`low` and `high` where standing at one value and falling at another are that close, of which there
-are several, and not the largest value at which it stands. Only the values in the table were played.
+A bisection assumes that the robot is monotone: if it falls at some value of the setting, it falls
+at every larger one. The limit is then the largest value that it stands, to within the resolution.
+A robot that is not monotone stands again beyond a value at which it fell. The limit is then one of
+several places between `low` and `high` where a standing and a falling value are that close. It is
+not the largest value that the robot stands. Only the values in the table were played.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from shared.output.text_table import aligned
 
 @dataclass(frozen=True)
 class Limit:
-    """Where standing ends for one seed of a cell.
+    """The limit of one seed of a cell.
 
-    `label` is what tells the cell from the others, without the bisected setting and the seed.
-    `standing` is the largest integer that stood, `low` if none did; `falling` the smallest that
-    fell, None if the robot stood at `high`. Both are None where a bisection has not come to its
-    end: it is still to be played, or a trial of it ended with an error.
+    `label` has the settings that distinguish the cell, without the bisected setting and the seed.
+    `standing` is the largest integer at which the robot stood, `low` if it never stood. `falling`
+    is the smallest at which it fell, None if it stood at `high`. Both are None for an unfinished
+    bisection: trials are missing, or a trial ended with an error.
     """
 
     label: dict[str, Any]
@@ -49,7 +49,7 @@ class MedianInterval:
 def limits(study: Study, rows: Sequence[dict[str, Any]]) -> list[Limit]:
     """The limit of every cell and seed, by cell and seed, from the rows of a sweep."""
     if study.bisection is None:
-        raise ConfigError(f"study {study.name}: expected one with [bisect], got one without limits")
+        raise ConfigError(f"study {study.name}: expected a study with [bisect], got one without")
     found = [
         Limit(study.cells[sequence.cell].shown, sequence.seed, *(sequence.bracket or (None, None)))
         for sequence, _ in study.sequences_of(rows)
@@ -61,11 +61,12 @@ def limits(study: Study, rows: Sequence[dict[str, Any]]) -> list[Limit]:
 def median_interval(values: Sequence[float], *, confidence: float = 0.95) -> MedianInterval:
     """Median with a distribution-free interval from order statistics.
 
-    How many of n independent values lie below the true median is binomial with p = 1/2, so that
-    the k-th smallest and the k-th largest hold it between them with probability
-    1 − 2 Σ_{i<k} C(n, i)/2ⁿ, more where values coincide. k is the largest whose coverage is at
-    least `confidence`, or 1 if none is (n < 6 for 95 %): then `coverage` is less than asked for.
-    A value that is only known to be as large, as of who stood at `high`, may be put in as such.
+    The number of n independent values below the true median is binomial with p = 1/2. The median
+    therefore lies between the k-th smallest and the k-th largest value with probability
+    1 − 2 Σ_{i<k} C(n, i)/2ⁿ, or more if values coincide. k is the largest number with a coverage of
+    at least `confidence`. If there is none (n < 6 for 95 %), k is 1 and `coverage` is less than
+    `confidence`. A limit of which only a lower bound is known (the robot stood at `high`) may stand
+    in as that bound.
     """
     if not values:
         raise ValueError("expected at least one value")
@@ -78,7 +79,7 @@ def median_interval(values: Sequence[float], *, confidence: float = 0.95) -> Med
 
 
 def limits_in_words(study: Study, found: Sequence[Limit], rows: Sequence[dict[str, Any]]) -> str:
-    """One line per cell, for a person: the limits of its seeds, and their median."""
+    """A table with a line per cell: the limits of its seeds, and their median."""
     assert study.bisection is not None
     of, high = study.bisection, study.bisection.high
     settings = list(study.cells[0].shown)
@@ -102,7 +103,7 @@ def limits_in_words(study: Study, found: Sequence[Limit], rows: Sequence[dict[st
         lines.append([*named, str(len(values)), median, interval, least, max_trials])
     text = (
         f"the largest n that stood, {of.setting} = {value_in_words(of.values[of.setting])}, n from "
-        f"{of.low} to {of.high}, to within {of.resolution}"
+        f"{of.low} to {of.high}, resolution {of.resolution}"
     )
     return "\n".join([text, *aligned(lines), *errors_in_words(rows)])
 

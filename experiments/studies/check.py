@@ -1,9 +1,9 @@
 """Plays trials of a finished sweep again and compares their rows: `check DIR --sample 20`.
 
-`DIR` holds `study.toml`, `trials.parquet` and `about.json`, as a sweep leaves them; the journal is
-not needed. Rows are compared in every column but those that hold times of the machine: to the last
-bit where that must hold, else within the tolerances of `experiments.studies.rounding`, with the
-reason.
+`DIR` holds `study.toml`, `trials.parquet` and `about.json` of a sweep; the journal is not needed.
+Rows are compared in every column except measured times. The comparison is exact if the machine and
+the packages round like those of the sweep. Otherwise it uses the tolerances of
+`experiments.studies.rounding`, and the command prints the reason.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from shared.errors import ConfigError
 from shared.process.cli import EXIT_STANDING
 
 EXIT_DIFFERENT = 1
-# Fields of a summary that are measured on the machine, not simulated.
+# Fields of a summary with times measured on the machine, not simulated.
 _MEASURED = ("robot_tick_ms.", "edge_solve_ms.", "realtime_factor")
 
 Row = dict[str, Any]
@@ -46,9 +46,9 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Difference:
-    """A row of the table that is not what playing its trial gives; `text` tells why.
+    """A row of the table that differs from the row of its trial played again; `text` tells how.
 
-    `rounding`: no more than another rounding explains.
+    `rounding`: the difference is within the tolerances for rounding.
     """
 
     number: int
@@ -57,17 +57,17 @@ class Difference:
 
 
 def add_check_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `check`."""
-    parser.add_argument("folder", type=Path, metavar="DIR", help="of a finished sweep")
+    """Add the options of `check`."""
+    parser.add_argument("folder", type=Path, metavar="DIR", help="folder of a finished sweep")
     parser.add_argument(
-        "--sample", type=int, metavar="N", default=10, help="how many trials (default %(default)s)"
+        "--sample", type=int, metavar="N", default=10, help="number of trials (default %(default)s)"
     )
-    parser.add_argument("--seed", type=int, metavar="S", help="of the drawing; default: any")
+    parser.add_argument("--seed", type=int, metavar="S", help="seed of the sample; default: any")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Play a sample again; 0 if all rows are identical, 1 if one differs."""
+    """Play a sample again. Return 0 if all rows agree, 1 if one differs beyond rounding."""
     folder, workers = arguments.folder, workers_from(arguments.workers)
     if arguments.sample < 1:
         raise ConfigError(f"--sample: expected at least 1, got {arguments.sample}")
@@ -78,13 +78,13 @@ def run_check(arguments: argparse.Namespace) -> int:
         reasons = differences(about)
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise ConfigError(
-            f"expected the folder of a finished sweep, got {folder}: no about.json with the "
-            f"version of its code ({type(error).__name__})"
+            f"expected the folder of a finished sweep, got {folder} without an about.json that "
+            f"names its code ({type(error).__name__}); repeat the sweep"
         ) from None
     if present_identity(code) != code_version():
         print(
-            f"the code is another: {folder} was played with {code}, at commit {commit}, "
-            f"this is {code_version()}; rows may differ for that",
+            f"the code differs: {folder} was played with code {code} of commit {commit}, "
+            f"this is code {code_version()}; rows may differ for this reason",
             file=sys.stderr,
         )
     seed = secrets.randbelow(2**32) if arguments.seed is None else arguments.seed
@@ -117,20 +117,20 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def _expected(reasons: Sequence[str]) -> str:
-    """What must hold here, for a person."""
+    """The accuracy with which rows must agree on this machine, in words."""
     if not reasons:
-        return "expected to the last bit: processor, BLAS kernel and packages round as there"
+        return "expected to the last bit: processor, BLAS kernel and packages round as in the sweep"
     return (
-        f"expected within {RELATIVE:g} (or {ABSOLUTE:g}), a fall within {FALL_SECONDS:g} s, as "
-        f"this machine rounds otherwise: {'; '.join(reasons)}"
+        f"expected within {RELATIVE:g} (or {ABSOLUTE:g}), a fall within {FALL_SECONDS:g} s: this "
+        f"machine rounds differently: {'; '.join(reasons)}"
     )
 
 
 def matched(study: Study, rows: Sequence[Row]) -> tuple[dict[int, Trial], list[Difference]]:
-    """The trials of a study by the number of their row, and the rows that are none of its trials.
+    """The trials of a study by the number of their row, and a difference for every other row.
 
-    A bisection is followed from the outcomes in the rows: a trial that it would not have asked for
-    after them is none of its trials.
+    A bisection is repeated with the outcomes in the rows. A row of a trial that it then does not
+    play is not part of the study.
     """
     trials = {
         number: trial
@@ -139,7 +139,7 @@ def matched(study: Study, rows: Sequence[Row]) -> tuple[dict[int, Trial], list[D
     }
     unknown = "the study has no such trial"
     if study.bisection is not None:
-        unknown += ", or would not have come to it by the others"
+        unknown += ", or its bisection does not reach it from the other rows"
     strangers = [Difference(k, unknown) for k in range(len(rows)) if k not in trials]
     return trials, strangers
 
@@ -147,9 +147,9 @@ def matched(study: Study, rows: Sequence[Row]) -> tuple[dict[int, Trial], list[D
 def replayed(
     study: Study, rows: Sequence[Row], trials: dict[int, Trial], workers: int, *, exact: bool = True
 ) -> list[Difference]:
-    """Rows that differ from those of their trials, played again.
+    """Play trials again. Return the rows that differ from the new ones.
 
-    Where that cannot be `exact`, rounding is told from other differences.
+    Without `exact`, differences by rounding are marked as such.
     """
     number_of = {id(trial): number for number, trial in trials.items()}
     different = []
@@ -169,7 +169,7 @@ def replayed(
 
 
 def changed(row: Row, again: Row) -> list[str]:
-    """The columns in which two rows differ, measured times aside."""
+    """The columns in which two rows differ, without measured times."""
     return [
         name
         for name in {**row, **again}
@@ -179,18 +179,18 @@ def changed(row: Row, again: Row) -> list[str]:
 
 
 def difference(row: Row, again: Row, names: Sequence[str]) -> str:
-    """What two rows have in these columns, for a person."""
+    """The values of two rows in these columns, in words."""
     return "; ".join(
         f"{name} is {_cell(row, name)}, played again {_cell(again, name)}" for name in names
     )
 
 
 def named(study: Study, row: Row) -> str:
-    """What tells a row from the others, for a person."""
+    """The settings and the seed that distinguish a row, in words."""
     names = [*study.cells[0].shown, *study.varied, "seed"]
     shown = [name for name in dict.fromkeys(names) if name in row]
     return ", ".join(f"{name}={value_in_words(row[name])}" for name in shown)
 
 
 def _cell(row: Row, name: str) -> str:
-    return repr(row[name]) if name in row else "not there"
+    return repr(row[name]) if name in row else "missing"

@@ -1,9 +1,9 @@
-"""Which code a trial ran through, as a hash: of what the sources do, not of what they say.
+"""Identity of the code that plays a trial: a hash of the sources' syntax trees.
 
-Comments, docstrings, arguments named `help` and layout are free to change; a constant or a name is
-not. Trials from before
-2026-12 have hashes of the files' bytes in their `about.json` and journals. `published_codes.toml`
-maps those of the published ones; a test derives both hashes from the commit that it names.
+Comments, docstrings, arguments named `help` and layout do not change the identity. A constant or a
+name does. Trials from before 2026-12 have hashes of the files' bytes in their `about.json` and
+journals. `published_codes.toml` maps these hashes of published trials to identities. A test derives
+both from the commit that the file names.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from typing import Any
 from shared.config.toml_file import read_toml
 
 ROOT = Path(__file__).parents[2]
-# What a trial runs through; studies and pictures can change without making trials void.
+# The code that plays a trial. Studies and pictures can change without making trials void.
 PARTS = ("shared", "robot_node", "edge_node", "netem", "experiments/lockstep.py")
 
 
 @functools.cache
 def code_version() -> str:
-    """Identity of the sources that a trial runs through, as this process first saw them."""
+    """Identity of the sources that play a trial, read once in this process."""
     parts = [ROOT / name for name in PARTS]
     files: Iterable[Path] = (
         path for part in parts for path in ([part] if part.is_file() else part.rglob("*.py"))
@@ -41,7 +41,7 @@ def identity(sources: Mapping[str, bytes]) -> str:
 
 
 def present_identity(code: str) -> str:
-    """The identity of a code that a journal or an `about.json` names, if by its bytes."""
+    """The identity for a code in a journal or an `about.json`, also for a hash of bytes."""
     return _published().get(code, code)
 
 
@@ -71,7 +71,7 @@ def _content(node: Any) -> Any:
 
 
 def _is_help(node: Any) -> bool:
-    """Whether it is an argument of a call that is printed for a person."""
+    """Return whether a node is the argument `help` of a call."""
     return isinstance(node, ast.keyword) and node.arg == "help"
 
 

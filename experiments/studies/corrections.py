@@ -1,7 +1,8 @@
-"""Where a stale factorisation ends, without a simulation: convergence of the corrections at random
-states, and their contraction, against how far away the factorisation was computed.
+"""Limits of a stale factorisation, measured at random states without a simulation.
 
-`./wbc corrections --out DIR` writes `corrections.png` and `corrections.md`.
+`./wbc corrections --out DIR` writes `corrections.png` and `corrections.md`. They show the
+convergence and the contraction of the corrections over the distance between the state and the
+standing pose, at which the factorisation was computed.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from shared.wbc.stack import Stack, StackMatrices
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-# (level, damping) and how it is called.
+# (level, damping) by name.
 VARIANTS = {
     "b": ("b", 0.0),
     "b_adjoint": ("b_adjoint", 0.0),
@@ -48,7 +49,7 @@ _VELOCITY = 0.1
 
 @dataclass(frozen=True)
 class _State:
-    """A state some way off the standing pose, and the optimum there."""
+    """A state near the standing pose, and the optimum at it."""
 
     q: np.ndarray
     v: np.ndarray
@@ -84,7 +85,7 @@ class Laboratory:
         return _State(q, v, matrices, solution.x)
 
     def standing_factorisation(self, damping: float) -> Factorisation:
-        """What the edge sent while the robot stood."""
+        """The factorisation that the edge computes for the standing pose."""
         posture = self.robot.q_standing[7:]
         return factorise_kkt(self.stack, self._standing, posture, damping=damping)
 
@@ -106,7 +107,7 @@ class Laboratory:
         return errors
 
     def contraction(self, state: _State, factorisation: Factorisation) -> complex:
-        """Eigenvalue of largest modulus of K₀ (M − M₀), by which level b's error is multiplied."""
+        """The eigenvalue of K₀ (M − M₀) of largest modulus: the factor of level b's error."""
         P, Q, A = factorisation.P, factorisation.Q, factorisation.A
         n_a = self.model.nv
         K = np.hstack([Q, P[:, :n_a] @ A.T])
@@ -123,14 +124,14 @@ class Laboratory:
 
 
 def add_corrections_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `corrections`."""
+    """Add the options of `corrections`."""
     parser.add_argument("--out", type=Path, default=Path("docs/figures"), metavar="DIR")
-    parser.add_argument("--states", type=int, default=40, help="per point (default %(default)s)")
+    parser.add_argument("--states", type=int, default=40, help="states per point (%(default)s)")
     parser.add_argument("--seed", type=int, default=0)
 
 
 def run_corrections(arguments: argparse.Namespace) -> int:
-    """Measure, draw and write; 0."""
+    """Measure, draw and write. Return 0."""
     arguments.out.mkdir(parents=True, exist_ok=True)
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.2))
     lines = [

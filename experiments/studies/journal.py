@@ -1,6 +1,6 @@
-"""Finished trials on disk: `trials.jsonl`, a line for each as it finishes, its whole summary in it.
+"""Journal of finished trials: `trials.jsonl`, with a line per trial that holds its summary.
 
-A trial is known by its identity, a hash of all its settings, and by the version of the code that
+A trial has an identity, which is a hash of all its settings, and the version of the code that
 played it. Lines of other settings and of other code stay in the file and are not used.
 """
 
@@ -22,7 +22,7 @@ Record = dict[str, Any]
 
 
 class Journal:
-    """The lines of the file, which gets one more for each trial that is added."""
+    """The lines of the file. `add` appends a line."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -32,31 +32,34 @@ class Journal:
                 _ = line["trial"], line["error"]
                 line["code"] = present_identity(line["code"])
         except (ValueError, LookupError, TypeError) as error:
-            raise ConfigError(f"out: {file.name} has a line that is no trial: {error}") from None
+            raise ConfigError(
+                f"out: expected a trial in every line of {file.name}, got another line ({error}); "
+                "give another --out"
+            ) from None
 
     def usable(self, *, keep_code: bool) -> dict[str, Record]:
-        """Trials that have finished without an error, by identity.
+        """Trials of this code that finished without an error, by identity.
 
-        Of this code, or with `keep_code` of any where this one has not played a trial.
+        With `keep_code`, a trial that this code has not played may come from other code.
         """
         mine = [line for line in self._lines if line["code"] == code_version()]
         lines = [*self._lines, *mine] if keep_code else mine
         return {line["trial"]: line for line in lines if line["error"] is None}
 
     def left_out(self, wanted: Set[str], *, keep_code: bool) -> str | None:
-        """A sentence on the lines of no use, having the identities of a study's trials."""
+        """A sentence on the lines that are not used. `wanted`: identities of the study's trials."""
         of_study = [line for line in self._lines if line["trial"] in wanted]
         used = [line for line in of_study if keep_code or line["code"] == code_version()]
         if len(used) == len(self._lines):
             return None
         return (
             f"trials of {self._file.name} left out: {len(self._lines) - len(of_study)} of other "
-            f"settings or seeds, {len(of_study) - len(used)} of other code (--keep-code takes "
-            "these)"
+            f"settings or seeds, {len(of_study) - len(used)} of other code (--keep-code uses the "
+            "latter)"
         )
 
     def add(self, trial: Trial, record: Record) -> None:
-        """One more line, on its way to the disk when this returns."""
+        """Append the line of a trial, and flush it to the file."""
         line = {"trial": trial.identity, "code": code_version(), "label": trial.label, **record}
         self._file.write(json.dumps(line).encode() + b"\n")
         self._file.flush()
@@ -64,7 +67,7 @@ class Journal:
 
 @contextlib.contextmanager
 def open_journal(path: Path) -> Iterator[Journal]:
-    """The file of finished trials, for one sweep alone, without a half-written last line."""
+    """Open the journal for one sweep alone. A half-written last line is removed."""
     with path.open("a+b") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

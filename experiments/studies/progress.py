@@ -1,4 +1,4 @@
-"""How far a sweep is: a bar in place on a terminal, else a line every ten seconds."""
+"""Progress of a sweep: a bar in place on a terminal, else a line every ten seconds."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from shared.output.screen import rewrites_lines
 
 _EVERY_SECONDS = 10.0
 _BAR = (10, 40)
-# Of a terminal that does not say.
+# Width of a terminal that does not report it [characters].
 _COLUMNS = 80
 
 
 class Progress:
-    """Trials `done` and `left`; in a bisection this is an upper bound, which shrinks."""
+    """Trials `done` and `left`. In a bisection `left` is an upper bound, which shrinks."""
 
     def __init__(self, *, done: int, falls: int, left: int) -> None:
         self._done, self._falls, self._left = done, falls, left
@@ -27,7 +27,7 @@ class Progress:
             self._print()
 
     def finished(self, *, fell: bool, left: int) -> None:
-        """One more."""
+        """Count one more trial."""
         self._played += 1
         self._done += 1
         self._falls += fell
@@ -36,7 +36,7 @@ class Progress:
             self._print()
 
     def about(self) -> dict[str, float]:
-        """What was played, and how fast."""
+        """The number of trials played, the time [s], and the rate [1/min]."""
         seconds = time.perf_counter() - self._started
         return {
             "played": self._played,
@@ -45,7 +45,7 @@ class Progress:
         }
 
     def close(self) -> None:
-        """Leave the line to whatever is printed next."""
+        """End the line of the bar, so that the next output begins on a new line."""
         if self._open:
             print(file=sys.stderr, flush=True)
             self._open = False

@@ -1,11 +1,11 @@
-"""What the last bits of a trial depend on, and what holds where that differs.
+"""Rounding of trials: the versions on which the last bits depend, and tolerances for others.
 
-On x86-64 with AVX2 every process uses one BLAS kernel (`shared.process.native_libraries`): with
-the same package versions a trial is the same to the last bit. On other processors, or with another
-kernel or version, sums are rounded otherwise. A trial that stands then agrees within `RELATIVE` and
-`ABSOLUTE`. One that falls falls too, within `FALL_SECONDS`; what is measured of a falling robot
-is not compared. Where a trial is at its limit, rounding alone may decide whether it stands.
-`docs/reproduction.md` has what was measured.
+On x86-64 with AVX2 every process uses one BLAS kernel (`shared.process.native_libraries`). With
+the same package versions a trial is then the same to the last bit. On other processors, or with
+another kernel or version, sums are rounded differently. The metrics of a standing trial then agree
+within `RELATIVE` and `ABSOLUTE`. A trial that falls falls there too, within `FALL_SECONDS`; its
+other metrics are not compared. If a trial is close to its limit, rounding alone may decide whether
+it stands. `docs/reproduction.md` has measurements.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from shared.output.versions import versions
 from shared.process.native_libraries import AVX2, KERNEL
 
 RELATIVE, ABSOLUTE, FALL_SECONDS = 1e-3, 1e-6, 0.05
-# Of `shared.output.versions.versions`, which a sweep leaves in its `about.json`.
+# The names in `shared.output.versions.versions`, and in `about.json`, on which rounding depends.
 _DEPENDS_ON = (
     "instructions",
     "blas",
@@ -29,17 +29,17 @@ _DEPENDS_ON = (
     "mujoco",
     "daqp",
 )
-# Sweeps from before these were recorded are of processors with AVX2, and of a kernel that rounds
-# as ours does.
+# Sweeps from before these were recorded ran on processors with AVX2 and a kernel that rounds like
+# `KERNEL`.
 _UNRECORDED = {"instructions": AVX2, "blas": KERNEL}
-# Of a row, as exact as the settings.
+# Columns of a row: the duration, the fall, and the hash of the telemetry.
 _DURATION, _FELL, _IDENTITY = "task_seconds", "fell", "log_hash"
 
 Row = Mapping[str, Any]
 
 
 def differences(about: Mapping[str, Any]) -> list[str]:
-    """Why the bits of the trials in an `about.json` may not be had here; empty if they must be."""
+    """Reasons why trials with this `about.json` may differ here in their last bits; [] if none."""
     then, here = _UNRECORDED | about["versions"], versions()
     return [
         f"{name} {then.get(name, 'unknown')} there, {here[name]} here"
@@ -49,7 +49,7 @@ def differences(about: Mapping[str, Any]) -> list[str]:
 
 
 def beyond(row: Row, again: Row, names: list[str]) -> list[str]:
-    """Those of the columns in which two rows differ by more than rounding explains."""
+    """The columns among `names` in which two rows differ by more than rounding explains."""
     if row.get(_FELL) != again.get(_FELL):
         return [_FELL]
     if row.get(_FELL):

@@ -1,4 +1,4 @@
-"""Deals the trials of a study: its cells, each with the same seeds, as complete configurations."""
+"""Trials of a study: every cell with the same seeds, as complete configurations."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ PROFILES = "profiles:"
 
 @dataclass(frozen=True)
 class Cell:
-    """A variant: what tells it from the others, and its dotted settings with those of the base."""
+    """A variant: the settings that distinguish it, and all its settings with those of the base."""
 
     shown: dict[str, Any]
     settings: dict[str, Any]
 
     @property
     def names(self) -> list[str]:
-        """What `--only` may call it: its name, and each value of the grid."""
+        """Names of the cell for `--only`: its name, and each value of the grid."""
         named = self.shown.items()
         return [v if k == "cell" else f"{k}={value_in_words(v)}" for k, v in named]
 
@@ -46,7 +46,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Study:
-    """A study as read; `table` is its TOML."""
+    """A study that has been read and checked; `table` is its TOML."""
 
     name: str
     seeds: int
@@ -60,21 +60,21 @@ class Study:
 
     @functools.cached_property
     def trials(self) -> list[Trial]:
-        """Every cell with seed 0, then every cell with seed 1, …: a part of it is a fair sample.
+        """Every cell with seed 0, then every cell with seed 1, …: a first part is a fair sample.
 
-        Of a bisection, those that it begins with.
+        For a bisection these are the first trials of its sequences.
         """
         return [sequence.next for sequence in self.sequences() if sequence.next is not None]
 
     def max_left(self, sequences: Iterable[TrialSequence]) -> int:
-        """So many trials, at most, are left of these sequences."""
+        """The maximum number of trials that are left of these sequences."""
         max_trials = 1 if self.bisection is None else self.bisection.max_trials
         return sum(
             max_trials - len(sequence.played) for sequence in sequences if sequence.next is not None
         )
 
     def sequences(self) -> list[TrialSequence]:
-        """A sequence for every cell and seed, at its beginning, in the order of `trials`."""
+        """A new sequence for every cell and seed, in the order of `trials`."""
         return [
             TrialSequence(index, seed, self._sequence(index, seed))
             for seed in range(self.seeds)
@@ -82,7 +82,7 @@ class Study:
         ]
 
     def sequences_of(self, rows: Sequence[dict[str, Any]]) -> list[tuple[TrialSequence, list[int]]]:
-        """Every sequence as far as rows of a table go, and which rows, one per trial played."""
+        """Every sequence as far as it was played in `rows`, and the row number of each trial."""
         numbers = {self._place(row): number for number, row in enumerate(rows)}
 
         def outcome(trial: Trial) -> Outcome | None:
@@ -97,7 +97,7 @@ class Study:
         return followed
 
     def only(self, names: Iterable[str]) -> set[int]:
-        """Indices of the cells that have one of these names."""
+        """Indices of the cells that have at least one of these names."""
         valid = [name for cell in self.cells for name in cell.names]
         for name in names:
             if name not in valid:
@@ -106,7 +106,7 @@ class Study:
         return {k for k, cell in enumerate(self.cells) if set(names) & set(cell.names)}
 
     def _place(self, label: dict[str, Any]) -> tuple[Any, ...]:
-        """What tells a trial from the others of the study, of its label or its row."""
+        """The values that distinguish a trial within the study, from its label or its row."""
         names = [*self.cells[0].shown, "seed"]
         if self.bisection is not None:
             names.append(self.bisection.setting)
@@ -156,7 +156,7 @@ class Study:
 
 
 def draw(key: str, spec: dict[str, Any], *, seed: int) -> Any:
-    """The value of a random setting for a seed, whatever other settings are drawn."""
+    """The value of a random setting for a seed. It does not depend on other random settings."""
     rng = np.random.default_rng([seed, 11, zlib.crc32(key.encode())])
     if spec["kind"] == "uniform":
         return float(rng.uniform(spec["low"], spec["high"]))
@@ -169,16 +169,16 @@ def draw(key: str, spec: dict[str, Any], *, seed: int) -> Any:
 
 
 def value_in_words(value: Any) -> str:
-    """A setting's value as on the command line."""
+    """A setting's value as it is written on the command line."""
     if isinstance(value, list | tuple):
         return " and ".join(map(str, value)) or "none"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _network_of(network: str, seed: int) -> str:
-    """The profile of a seed of `profiles:SCENARIO` or `generated:SCENARIO`, or the network itself.
+    """The profile of a seed of `profiles:SCENARIO` or `generated:SCENARIO`; else `network` itself.
 
-    With `capacity:` before it, the capacity behind that profile.
+    The prefix `capacity:` stays before the profile.
     """
     capacity = CAPACITY if network.startswith(CAPACITY) else ""
     wanted = network.removeprefix(capacity)
@@ -213,5 +213,5 @@ def _identity(config: RunConfig, *, all_active_sets: bool) -> str:
 def _get(config: RunConfig, key: str) -> Any:
     value: Any = config
     for name in key.split("."):
-        value = getattr(value, name, None)  # an unknown setting is reported where it is given
+        value = getattr(value, name, None)  # an unknown setting is an error elsewhere
     return list(value) if isinstance(value, tuple) else value

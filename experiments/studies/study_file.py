@@ -1,12 +1,10 @@
-"""What a sweep plays: the cells of a study, each with the same seeds, as complete configurations.
-
-A study is a TOML file; those in `configs/` are known by name. Every key may be left out:
+"""Reader of studies: TOML files. A study in `configs/` has a name. Every key is optional:
 
     description = "one line"
     seeds = 50                      # every cell is played with the seeds 0 … 49
-    columns = ["fell", "link.downlink.sent"]    # fields of a run's summary, dotted where nested
+    columns = ["fell", "link.downlink.sent"]    # fields of a run's summary, dotted if nested
 
-    [base]                          # settings as in a run's file, as tables or dotted keys
+    [base]                          # settings of all trials, as tables or dotted keys
     task = "walk"
     "link.network" = "constant:25ms"
 
@@ -18,31 +16,32 @@ A study is a TOML file; those in `configs/` are known by name. Every key may be 
     name = "0.2 m"
     "walk.step_length" = 0.2
 
-    [random]                        # drawn from the seed alone: all cells of a seed get the same
-    push = { kind = "push", force = 40.0, duration = 0.2, start = [1.0, 6.0], directions = ["+x"] }
-    "plant.friction" = { kind = "uniform", low = 0.4, high = 1.0 }
+    [random]                        # drawn from the seed alone: equal in all cells of a seed.
+    push = {kind = "push", force = 40.0, duration = 0.2, start = [1.0, 6.0], directions = ["+x"]}
+    "plant.friction" = {kind = "uniform", low = 0.4, high = 1.0}
 
-    [bisect]                        # each cell and seed looks for its own limit of a setting
+    [bisect]                        # finds the limit of a setting for each cell and seed
     setting = "link.network"
-    value = "constant:{}ms"         # {} is an integer; a number would be multiplied with it
-    low = 0                         # taken to stand, not played
-    high = 400                      # played first: who stands there has no limit below it
-    resolution = 1                  # until what stood and what fell are that close
-    also = { "switch.compute_ns" = 1_000_000 }      # follows it, like `value`
+    value = "constant:{}ms"         # {} is an integer; a number is multiplied by the integer
+    low = 0                         # assumed to stand, not played
+    high = 400                      # played first: a robot that stands here has no limit below.
+    resolution = 1                  # ends when a standing and a falling integer are this close.
+    also = { "switch.compute_ns" = 1_000_000 }      # more settings, written like `value`
 
-    [quick]                         # what --quick changes: a smaller study of the same kind
+    [quick]                         # changes by --quick: a smaller study of the same kind.
     seeds = 1
-    cells = ["0.2 m"]               # of the named cells only these
-    "link.network" = ["constant:3ms"]               # instead of the grid's
+    cells = ["0.2 m"]               # the named cells to keep.
+    "link.network" = ["constant:3ms"]               # replaces the values of the grid
     bisect.resolution = 50
 
-Cells, grid, draws and the bisection go over the base, and share no setting; under it is what the
-task presets. A setting that is a list is one in the base, and in the grid a list of lists, as in
-`push = [["100N@1.0s:0.2s:+y"], []]`. For `profiles:factory`, seed k gets the k-th shipped profile
-of that scenario, and after the last the first again; for `generated:factory` the one generated from
-seed k; `capacity:` before them is the capacity behind it. A number of a push that is a pair is
-drawn from between the two. With `all_active_sets = true`, states that the edge did not solve are
-solved after the trial, so that the discrepancy of the active set is known at every tick.
+Cells, grid, random settings and the bisection replace settings of the base. No setting is in two of
+them. The base replaces the defaults of the task. A setting that is a list is a list in the base,
+and a list of lists in the grid: `push = [["100N@1.0s:0.2s:+y"], []]`. For `profiles:factory`, seed
+k gets the k-th shipped profile of that scenario; after the last profile the first follows. For
+`generated:factory`, seed k gets the profile generated from seed k. The prefix `capacity:` gives the
+capacity behind that profile. A pair of numbers in a push stands for a draw between the two. With
+`all_active_sets = true`, states that the edge did not solve are solved after the trial, so that the
+discrepancy of the active set is known at every tick.
 """
 
 from __future__ import annotations
@@ -66,7 +65,7 @@ from shared.telemetry.schema import Source
 
 SHIPPED = Path(__file__).parents[1] / "configs"
 DEFAULT_SEEDS = 20
-# No times of this machine among them: a study played twice has equal tables.
+# The default columns have no measured times, so a study played twice has equal tables.
 DEFAULT_COLUMNS = (
     *("network", "fell", "task_seconds", "com_error_m", "contact_violation_m_s2"),
     *("foot_slip_mm.max", "projector_age_ms.p50", "projector_age_ms.max"),
@@ -81,10 +80,10 @@ _KEYS = (
 
 
 def read_study(source: str | Path, *, seeds: int | None = None, quick: bool = False) -> Study:
-    """A shipped study by name, a TOML file, or what a sweep left in its folder.
+    """Read a shipped study by name, a TOML file, or the study in the folder of a sweep.
 
-    With `quick`, changed as its table [quick] says; `seeds` replaces the study's. Raises
-    ConfigError, also for a setting no run could have.
+    `quick` applies the table [quick]. `seeds` replaces the study's number of seeds. Raise
+    ConfigError for a faulty study, also for a setting that no run can have.
     """
     path = SHIPPED / f"{source}.toml"
     if not path.is_file():
@@ -92,8 +91,8 @@ def read_study(source: str | Path, *, seeds: int | None = None, quick: bool = Fa
     if not path.is_file():
         shipped = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
         raise ConfigError(
-            f"study: expected a shipped study ({shipped}) or a TOML file, got {str(source)!r}: "
-            "no such study or file"
+            f"study: expected a shipped study ({shipped}) or a TOML file, got {str(source)!r}, "
+            "which does not exist"
         )
     table = read_toml(path, what="study")
     table.setdefault("name", path.stem)
@@ -101,7 +100,7 @@ def read_study(source: str | Path, *, seeds: int | None = None, quick: bool = Fa
 
 
 def make_study(table: dict[str, Any], *, seeds: int | None = None, quick: bool = False) -> Study:
-    """The study of a TOML table, which has its `name`; see `read_study`."""
+    """The study of a TOML table that has a `name`; see `read_study`."""
     asked = {} if seeds is None else {"seeds": seeds}
     where = f"study {table['name']}: "
     try:
@@ -122,7 +121,7 @@ def _study(table: dict[str, Any]) -> Study:
             raise ConfigError(f"{key}: unknown; valid here: {', '.join(_KEYS)}")
     seeds = table.get("seeds", DEFAULT_SEEDS)
     if not is_integer(seeds) or seeds < 1:
-        raise ConfigError(f"seeds: expected how many, at least 1, got {seeds!r}")
+        raise ConfigError(f"seeds: expected a number of at least 1, got {seeds!r}")
     columns = table.get("columns", list(DEFAULT_COLUMNS))
     if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
         raise ConfigError(f"columns: expected a list of fields of a summary, got {columns!r}")
@@ -144,10 +143,10 @@ def _study(table: dict[str, Any]) -> Study:
     in_cells = {key for settings in variants.values() for key in settings}
     for key in [*base, *grid, *in_cells, *random, *bisected]:
         if key == "seed":
-            raise ConfigError("seed: not a setting of a study; say how many with seeds")
+            raise ConfigError("seed: not a setting of a study; give the number of seeds with seeds")
         if sum(key in settings for settings in (grid, in_cells, random, bisected)) > 1:
             raise ConfigError(
-                f"{key}: expected in one of grid, cells, random and bisect, got it in two"
+                f"{key}: expected in one of grid, cells, random and bisect, got it in two or more"
             )
     for key, spec in random.items():
         check_random(key, spec)
@@ -160,7 +159,7 @@ def _study(table: dict[str, Any]) -> Study:
     if bisection is not None:
         varied[bisection.setting] = None
     columns = tuple(dict.fromkeys(["fell", *columns]))
-    # Dotted, so that the order of the grid survives being written.
+    # Dotted keys keep the order of the grid when the table is written.
     table = table | {name: flat for name, flat in (("base", base), ("grid", grid)) if flat}
     return Study(
         name=table["name"],

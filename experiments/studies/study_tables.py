@@ -1,4 +1,4 @@
-"""Parts of a study's TOML: checked, each fault one clear error, and told apart from one another."""
+"""Checks and readers of the tables of a study's TOML. Each fault raises one clear error."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if sys.version_info >= (3, 11):
 else:  # pragma: no cover
     import tomli as tomllib
 
-# Of a bisection, with what they are where they are left out.
+# The bounds of a bisection, with their defaults.
 _BOUNDS: dict[str, Any] = {"low": 0, "high": None, "resolution": 1}
 _RANDOM = {
     "push": '{ kind = "push", force = 40.0, duration = 0.2, start = [1.0, 6.0], '
@@ -24,9 +24,9 @@ _RANDOM = {
 
 
 def quickened(table: dict[str, Any]) -> dict[str, Any]:
-    """The table of the quick study: changed as its [quick] says, and without it."""
+    """The table of the quick study: the changes of [quick] applied, and [quick] removed."""
     if "quick" not in table:
-        raise ConfigError("expected a table [quick] in the study, which says what is changed")
+        raise ConfigError("expected a table [quick] in the study, got none; leave out --quick")
     small = {name: value for name, value in table.items() if name != "quick"}
     grid, bisect = flattened(table.get("grid", {}), "grid"), table.get("bisect")
     for key, value in flattened(table["quick"], "quick").items():
@@ -41,12 +41,12 @@ def quickened(table: dict[str, Any]) -> dict[str, Any]:
             small["bisect"] = bisect = bisect | {bound: value}
         else:
             known = ", ".join(["seeds", "cells", *(f"bisect.{name}" for name in _BOUNDS), *grid])
-            raise ConfigError(f"{key}: expected one of {known}, the last of the grid")
+            raise ConfigError(f"{key}: expected one of {known}, the last from the grid")
     return small
 
 
 def _chosen(cells: Any, names: Any) -> list[dict[str, Any]]:
-    """The cells of these names."""
+    """The cells with these names."""
     valid = list(variants_of(cells))
     if not isinstance(names, list) or not names or any(name not in valid for name in names):
         raise ConfigError(
@@ -56,7 +56,7 @@ def _chosen(cells: Any, names: Any) -> list[dict[str, Any]]:
 
 
 def bisection_of(table: Any) -> Bisection:
-    """What [bisect] asks for."""
+    """The bisection of a table [bisect]."""
     if not isinstance(table, dict):
         raise ConfigError(f"bisect: expected a table, got {table!r}")
     keys = ("setting", "value", *_BOUNDS, "also")
@@ -68,7 +68,7 @@ def bisection_of(table: Any) -> Bisection:
         raise ConfigError(f"bisect.setting: expected the name of a setting, got {setting!r}")
     also = flattened(table.get("also", {}), "bisect.also")
     if setting in also:
-        raise ConfigError(f"bisect.also.{setting}: expected other settings than the bisected one")
+        raise ConfigError(f"bisect.also.{setting}: expected settings other than the bisected one")
     values = {setting: table.get("value"), **also}
     for key, value in values.items():
         number = isinstance(value, int | float) and not isinstance(value, bool) and value != 0
@@ -79,12 +79,12 @@ def bisection_of(table: Any) -> Bisection:
             where = "value" if key == setting else f"also.{key}"
             raise ConfigError(
                 f'bisect.{where}: expected text with {{}} for the integer, as "constant:{{}}ms", '
-                f"or a number to multiply with it, got {value!r}"
+                f"or a number to multiply by it, got {value!r}"
             )
     low, high, resolution = bounds = [table.get(name, k) for name, k in _BOUNDS.items()]
     if not all(map(is_integer, bounds)) or not 1 <= resolution <= high - low:
         raise ConfigError(
-            f"bisect: expected integers low < high, and a resolution from 1 to their distance, got "
+            f"bisect: expected integers low < high and a resolution from 1 to high − low, got "
             f"low = {low!r}, high = {high!r}, resolution = {resolution!r}"
         )
     return Bisection(values, low, high, resolution)
@@ -98,14 +98,14 @@ def variants_of(cells: Any) -> dict[str, dict[str, Any]]:
     for cell in cells:
         name = cell.get("name")
         if not isinstance(name, str) or name in variants:
-            raise ConfigError(f"cells: expected a name of its own in each, got {name!r} in {cell}")
+            raise ConfigError(f"cells: expected a different name in each, got {name!r} in {cell}")
         settings = {key: value for key, value in cell.items() if key != "name"}
         variants[name] = flattened(settings, f"cells {name!r}")
     return variants
 
 
 def check_random(key: str, spec: Any) -> None:
-    """`ConfigError` for a setting of [random] that cannot be drawn."""
+    """Raise `ConfigError` for a setting of [random] that cannot be drawn."""
     try:
         expected = _RANDOM[spec["kind"]]
         if set(spec) != set(tomllib.loads(f"x = {expected}")["x"]):
@@ -118,7 +118,7 @@ def check_random(key: str, spec: Any) -> None:
 
 
 def flattened(table: Any, where: str) -> dict[str, Any]:
-    """Tables in tables as dotted keys; one with a `kind` in [random] is what to draw."""
+    """Nested tables as dotted keys. In [random] a table with a `kind` stays a table."""
     if not isinstance(table, dict):
         raise ConfigError(f"{where}: expected a table of settings, got {table!r}")
     flat: dict[str, Any] = {}
@@ -135,5 +135,5 @@ def flattened(table: Any, where: str) -> dict[str, Any]:
 
 
 def is_integer(value: Any) -> bool:
-    """Whether it is a TOML integer; a boolean is none."""
+    """Return whether a value is a TOML integer and not a boolean."""
     return isinstance(value, int) and not isinstance(value, bool)

@@ -1,9 +1,9 @@
-"""Plays a study: many lockstep trials on all cores, kept as they finish, in one table at the end.
+"""Plays a study: many trials on all cores, stored as they finish, and written to one table.
 
-The same command goes on after an interruption, and plays again what ended with an error. What a
-bisection plays next depends on what it has played, and on nothing else: not on when, or by whom.
-`trials.parquet` has the columns that the study asks for, `study.toml` what was asked for and
-`about.json` how it was played; `trials.jsonl` is the journal of finished trials.
+The same command continues after an interruption. It plays trials that ended with an error again.
+The next trial of a bisection depends only on the outcomes of the trials before it, not on the time
+or the worker. `trials.parquet` has the columns of the study, `study.toml` the study, and
+`about.json` its provenance. `trials.jsonl` is the journal of finished trials.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from shared.process.cli import EXIT_STANDING
 
 
 def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `sweep`."""
+    """Add the options of `sweep`."""
     parser.add_argument("study", metavar="STUDY", help="a shipped study or a TOML file")
-    parser.add_argument("--quick", action="store_true", help="the study as its [quick] changes it")
-    parser.add_argument("--seeds", type=int, metavar="N", help="instead of the study's")
+    parser.add_argument("--quick", action="store_true", help="apply the study's table [quick]")
+    parser.add_argument("--seeds", type=int, metavar="N", help="replaces the study's")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
     parser.add_argument(
         "--scheduler",
         metavar=EXAMPLE,
-        help="play on the Dask cluster of this scheduler instead",
+        help="play on the Dask cluster of this scheduler",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="default runs/sweep-STUDY")
     parser.add_argument(
@@ -54,15 +54,15 @@ def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="play this cell or controller=la; repeatable",
     )
-    parser.add_argument("--table", type=Path, metavar="FILE", help="write the table there as well")
-    parser.add_argument("--keep-code", action="store_true", help="take trials of other code too")
+    parser.add_argument("--table", type=Path, metavar="FILE", help="also write the table there")
+    parser.add_argument("--keep-code", action="store_true", help="use trials of other code too")
 
 
 def run_sweep(arguments: argparse.Namespace) -> int:
     """Play a study and print its table."""
     study = read_study(arguments.study, seeds=arguments.seeds, quick=arguments.quick)
     if arguments.scheduler is not None and arguments.workers is not None:
-        raise ConfigError("--workers: the cluster of --scheduler has its own; expected one of them")
+        raise ConfigError("--workers: expected without --scheduler, got both; leave out --workers")
     name = f"{study.name}-quick" if arguments.quick else study.name
     out = arguments.out or Path("runs") / f"sweep-{name}"
     rows = sweep(
@@ -85,7 +85,7 @@ def run_sweep(arguments: argparse.Namespace) -> int:
 
 
 def workers_from(asked: int | None) -> int:
-    """How many processes `--workers` asks for; all cores if it is not given."""
+    """The number of worker processes: `--workers`, or else the number of cores."""
     if asked is None:
         return len(os.sched_getaffinity(0))
     if asked < 1:
@@ -102,10 +102,10 @@ def sweep(
     only: Sequence[str] = (),
     keep_code: bool = False,
 ) -> list[dict[str, Any]]:
-    """Rows of the finished trials, by cell and seed, having played those missing in `out`.
+    """Play the trials that `out` does not have yet. Return the rows of all, by cell and seed.
 
-    On `workers` processes or, given its address, on the Dask cluster of a scheduler. `only` names
-    the cells to play, all if empty.
+    The trials run on `workers` processes or, if `scheduler` is an address, on the Dask cluster
+    there. `only` names the cells to play; empty stands for all.
     """
     chosen = study.only(only)
     try:
@@ -131,7 +131,7 @@ def sweep(
                     workers = team.number
                     for trial, record in _playing(missing, records, team):
                         journal.add(trial, record)
-                        row_of(trial, record, study.columns)  # an unknown column ends it here
+                        row_of(trial, record, study.columns)  # raises for an unknown column
                         fell = record["error"] is None and record["summary"]["fell"]
                         progress.finished(fell=fell, left=study.max_left(missing))
             played_by = {"workers": workers, "scheduler": scheduler}
@@ -152,13 +152,13 @@ def sweep(
         where = error.filename or out
         raise ConfigError(f"out: cannot write {where}: {error.strerror}") from None
     except KeyboardInterrupt:
-        print(f"interrupted; the same command goes on with {out}", file=sys.stderr)
+        print(f"interrupted; the same command continues in {out}", file=sys.stderr)
         raise
     return rows
 
 
 def _followed(study: Study, records: Mapping[str, Record]) -> list[TrialSequence]:
-    """Every sequence of a study as far as its trials have been played."""
+    """Every sequence of a study, advanced as far as its trials have been played."""
     sequences = study.sequences()
     for sequence in sequences:
         sequence.follow(_outcome_in(records))
@@ -174,7 +174,7 @@ def _outcome_in(records: Mapping[str, Record]) -> Callable[[Trial], Outcome | No
 
 
 def _identities(sequences: Sequence[TrialSequence]) -> set[str]:
-    """Those of the trials played, and of those to be played next."""
+    """Identities of the trials played, and of the next trials."""
     known = {trial.identity for sequence in sequences for trial in sequence.played}
     return known | {sequence.next.identity for sequence in sequences if sequence.next is not None}
 
@@ -182,7 +182,7 @@ def _identities(sequences: Sequence[TrialSequence]) -> set[str]:
 def _playing(
     sequences: Sequence[TrialSequence], records: dict[str, Record], team: Players
 ) -> Iterator[tuple[Trial, Record]]:
-    """Take sequences to their ends; give each trial and its record, which `records` takes too."""
+    """Play sequences to their ends. Yield each trial and its record, and add it to `records`."""
     going = {(sequence.cell, sequence.seed): sequence for sequence in sequences}
     for sequence in sequences:
         assert sequence.next is not None

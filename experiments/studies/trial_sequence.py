@@ -1,7 +1,7 @@
-"""What is played for one cell and one seed of a study, one trial after the other.
+"""Sequence of trials for one cell and one seed of a study.
 
-In most studies it is a single trial; in a bisection each trial but the first, that at `high`,
-depends on whether those before it stood.
+In most studies it has a single trial. In a bisection the first trial is at `high`. Each later trial
+depends on the outcomes of the trials before it.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from typing import Any, Literal
 from shared.config.settings import RunConfig
 
 Outcome = Literal["stood", "fell", "error"]
-# The largest integer that stood and the smallest that fell, None if none did.
+# The largest integer at which the robot stood and the smallest at which it fell, None if it never
+# fell.
 Bracket = tuple[int, int | None]
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One run of a seed of a cell. `label` is what varies.
+    """One trial of a cell and a seed. `label` has the settings that vary in the study.
 
-    `identity` is a hash of all that it depends on but the code, which has a version of its own.
-    With `all_active_sets`, states that the edge did not solve are solved after it.
+    `identity` is a hash of everything that the trial depends on except the code. With
+    `all_active_sets`, states that the edge did not solve are solved after it.
     """
 
     cell: int
@@ -34,10 +35,11 @@ class Trial:
 
 @dataclass(frozen=True)
 class Bisection:
-    """Between `low`, taken to stand, and `high`, where a cell's limit is for a seed.
+    """A search for a limit between `low`, which is assumed to stand, and `high`.
 
-    `values` are settings at an integer: text with {} for it, texts of which some have it, or a
-    number that it multiplies. The first one, `setting`, is a column of the table.
+    `values` are settings as a function of the integer: a text with {}, a list of texts of which at
+    least one has {}, or a number that is multiplied by the integer. The first one, `setting`, is a
+    column of the table.
     """
 
     values: dict[str, Any]
@@ -47,12 +49,12 @@ class Bisection:
 
     @property
     def setting(self) -> str:
-        """What is bisected; the others follow it."""
+        """The bisected setting. The other settings follow it."""
         return next(iter(self.values))
 
     @property
     def max_trials(self) -> int:
-        """So many trials at most."""
+        """The maximum number of trials."""
         trials, apart = 1, self.high - self.low
         while apart > self.resolution:
             trials, apart = trials + 1, (apart + 1) // 2
@@ -63,7 +65,7 @@ class Bisection:
         return {key: _value(value, at) for key, value in self.values.items()}
 
     def search(self) -> Generator[int, bool, Bracket]:
-        """Integers to play, one at a time; is sent whether that stood. Returns the bracket."""
+        """Yield integers to play and receive whether each stood. Return the bracket."""
         if (yield self.high):
             return self.high, None
         standing, falling = self.low, self.high
@@ -77,9 +79,10 @@ class Bisection:
 
 
 class TrialSequence:
-    """What is played for a cell and a seed: the trials so far, and the next, None at the end.
+    """The trials of a cell and a seed: those played, and the next, None at the end.
 
-    `bracket` is what a bisection came to, None before its end and where a trial ended in an error.
+    `bracket` is the result of a bisection. It is None before the end, and if a trial ended with an
+    error.
     """
 
     def __init__(
@@ -92,7 +95,7 @@ class TrialSequence:
         self.next: Trial | None = next(trials)
 
     def follow(self, outcome: Callable[[Trial], Outcome | None]) -> None:
-        """Go on as far as the outcome of trials is known."""
+        """Advance to the first trial without a known outcome."""
         while self.next is not None and (known := outcome(self.next)) is not None:
             self.played.append(self.next)
             self.next = None
@@ -104,7 +107,7 @@ class TrialSequence:
 
 
 def outcome_of(error: str | None, summary: dict[str, Any] | None) -> Outcome:
-    """What a trial came to, from the error that ended it or else its summary."""
+    """The outcome of a trial, from the error that ended it or else from its summary."""
     if error is not None or summary is None:
         return "error"
     return "fell" if summary["fell"] else "stood"

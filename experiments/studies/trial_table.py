@@ -1,7 +1,7 @@
-"""Finished trials as a table: a row per trial, and for a person a line per cell.
+"""Tables of finished trials: a row per trial in a file, and a line per cell in print.
 
-A row has what tells its cell from the others, what was drawn, the seed, the columns that the study
-asks for, and the error that ended the trial, if one did.
+A row has the settings that distinguish its cell, the random settings, the seed, the columns of the
+study, and the error that ended the trial, or None.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from experiments.studies.trial_sequence import Trial
 from shared.errors import ConfigError
 from shared.output.text_table import aligned
 
-# Counters by reason: a reason that never came is not there.
+# Counters by reason. A summary has no entry for a reason that did not occur.
 _OPEN_COUNTERS = ("edge_solves.", "link.uplink.refused.", "link.downlink.refused.")
 _MAIN_COLUMNS = (
     ("CoM error [cm]", "com_error_m", 100.0),
@@ -34,14 +34,14 @@ _MISSING = object()
 
 
 def write_trials(rows: Sequence[dict[str, Any]], out: Path) -> None:
-    """`trials.parquet` in the folder of a sweep."""
+    """Write `trials.parquet` into the folder of a sweep."""
     names = list(rows[0]) if rows else []
     table = pa.table({name: [row[name] for row in rows] for name in names})
     pq.write_table(table, out / "trials.parquet")
 
 
 def read_trials(out: Path) -> pa.Table:
-    """The table that a sweep left in its folder, a row per trial; `ConfigError` if it has none."""
+    """Read the table in the folder of a sweep, a row per trial; `ConfigError` without a table."""
     path = out / "trials.parquet"
     if not path.is_file():
         raise ConfigError(f"expected the folder of a finished sweep, got {out}: no {path.name}")
@@ -50,14 +50,14 @@ def read_trials(out: Path) -> pa.Table:
     except (OSError, pa.ArrowException) as error:
         raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from None
     if not table.num_rows or not {"seed", "fell", "error"} <= set(table.column_names):
-        raise ConfigError(f"expected a row per trial in {path}, with seed, fell and error")
+        raise ConfigError(f"expected rows with seed, fell and error, got others in {path}")
     return table
 
 
 def row_of(trial: Trial, record: dict[str, Any], columns: Sequence[str]) -> dict[str, Any]:
     """A trial's row, from the summary and the error of its record.
 
-    A column that no summary has is a ConfigError.
+    Raise ConfigError for a column that is not in the summary.
     """
     values = {name: _field(record["summary"], name) for name in columns}
     return {**trial.label, **values, **trial.label, "error": record["error"]}
@@ -77,7 +77,7 @@ def wilson_interval(successes: int, trials: int, *, z: float = 1.959964) -> tupl
 
 
 def table_in_words(rows: Sequence[dict[str, Any]], settings: Sequence[str]) -> str:
-    """One line per cell, for a person; means are over the trials that finished standing."""
+    """A table with a line per cell. Means are over the trials that finished standing."""
     cells: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:
         cells.setdefault(tuple(value_in_words(row[name]) for name in settings), []).append(row)
@@ -97,9 +97,9 @@ def table_in_words(rows: Sequence[dict[str, Any]], settings: Sequence[str]) -> s
 
 
 def errors_in_words(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """A line on the trials that ended with an error, if any did."""
+    """A line on the trials that ended with an error; [] without such trials."""
     errors = [row["error"] for row in rows if row["error"] is not None]
-    return [f"ended with an error: {len(errors)}, the first: {errors[0]}"] if errors else []
+    return [f"trials ended with an error: {len(errors)}; the first: {errors[0]}"] if errors else []
 
 
 def _number(value: float) -> str:
@@ -116,7 +116,7 @@ def _field(summary: dict[str, Any] | None, name: str) -> Any:
         return value
     if name.startswith(_OPEN_COUNTERS):
         return 0
-    if summary["network"] == "direct":  # without a report of the link
+    if summary["network"] == "direct":  # its summary has no report of the link
         return None
     raise ConfigError(f"columns: expected one of {', '.join(_fields(summary))}; got {name!r}")
 

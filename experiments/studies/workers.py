@@ -1,7 +1,7 @@
-"""Who plays trials: processes of this machine, or the workers of a Dask cluster.
+"""Players of trials: processes of this machine, or the workers of a Dask cluster.
 
-Both take trials one at a time, while others are played, and give back records as they finish. What
-fails in a trial is in its record; an exception says that nobody is there to play.
+Both accept trials while others are played, and return records in the order of finishing. An error
+within a trial is in its record. An exception means that the workers or the cluster are lost.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from shared.errors import ConfigError, UserError
 from shared.output.versions import versions
 
 EXAMPLE = "tcp://HOST:8786"
-# A scheduler that answers at all answers within milliseconds; a worker may be just starting.
+# A reachable scheduler answers within milliseconds. A worker may still be starting.
 _SCHEDULER_WITHIN = 5.0
 _WORKER_WITHIN = 20.0
 
 
 class Players:
-    """Whoever plays: `number` of them at the same time. `lost` says what ends them all."""
+    """A team of `number` workers. `lost` is the error message for the loss of the whole team."""
 
     def __init__(self, submit: Callable[[Trial], Any], *, number: int, lost: str) -> None:
         self.number = number
@@ -49,13 +49,13 @@ class Players:
         self._ended: queue.SimpleQueue[tuple[Trial, Any]] = queue.SimpleQueue()
 
     def submit(self, trial: Trial) -> None:
-        """Have a trial played, after those submitted before it."""
+        """Queue a trial behind those submitted before it."""
         with self._still_there():
             future = self._submit(trial)
             future.add_done_callback(lambda future: self._ended.put((trial, future)))
 
     def finished(self) -> tuple[Trial, Record]:
-        """The next trial to finish, and its record; waits for it."""
+        """Wait for the next trial to finish. Return it and its record."""
         trial, future = self._ended.get()
         with self._still_there():
             return trial, future.result()
@@ -67,21 +67,22 @@ class Players:
         except UserError:
             raise
         except Exception as error:  # a trial's own errors are in its record
-            raise ConfigError(f"{self._lost}; repeat to go on ({_in_a_line(error)})") from None
+            raise ConfigError(f"{self._lost}; repeat to continue ({_in_a_line(error)})") from None
 
 
 @contextlib.contextmanager
 def players(workers: int, scheduler: str | None = None) -> Iterator[Players]:
-    """`workers` processes of this machine or, given its address, the cluster of a scheduler.
+    """Open `workers` processes of this machine or, if `scheduler` is an address, its cluster.
 
-    On leaving, nothing of it is played any more; a worker of a cluster ends the trial it is at.
+    On leaving, no more trials begin. A process of this machine is killed; a worker of a cluster
+    ends its present trial.
     """
     with _local(workers) if scheduler is None else _cluster(scheduler) as them:
         yield them
 
 
 def play(config: RunConfig, all_active_sets: bool) -> Record:
-    """What one trial came to: its summary, or the error that ended it."""
+    """Play one trial. Return its summary, or the error that ended it."""
     started = time.perf_counter()
     summary: dict[str, Any] | None = None
     error = None
@@ -102,7 +103,7 @@ def _local(workers: int) -> Iterator[Players]:
     executor = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker)
 
     def submit(trial: Trial) -> Any:
-        # The workers inherit it: Ctrl-C is for this process, which then ends them.
+        # The workers inherit the mask. Ctrl-C interrupts this process, which then ends them.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             return executor.submit(play, trial.config, trial.all_active_sets)
@@ -110,7 +111,7 @@ def _local(workers: int) -> Iterator[Players]:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     try:
-        killed = "a worker process was killed, perhaps for want of memory: try fewer --workers"
+        killed = "a worker process was killed, perhaps for lack of memory: try fewer --workers"
         yield Players(submit, number=workers, lost=killed)
         executor.shutdown()
     finally:
@@ -120,7 +121,7 @@ def _local(workers: int) -> Iterator[Players]:
 
 
 def _begin_worker() -> None:
-    """Give way to everything else, and do not outlive the sweep, however it ends."""
+    """Lower the priority of this worker, and end it when the process of the sweep ends."""
     os.nice(5)
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -138,12 +139,12 @@ def _cluster(address: str) -> Iterator[Players]:
         import distributed
     except ImportError:
         raise ConfigError(
-            "--scheduler: needs the package distributed, as pip install '.[dask]' brings it"
+            "--scheduler: expected the package distributed, got none; try pip install '.[dask]'"
         ) from None
     expected = f"--scheduler: expected a Dask scheduler, as {EXAMPLE}, got {address!r}"
     if not re.fullmatch(r"(tcp|tls)://.+:[0-9]+", address):
         raise ConfigError(expected)
-    # What ends it is told in one line, below.
+    # Errors of the cluster are reported in one line, below.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         client = distributed.Client(address, timeout=_SCHEDULER_WITHIN, set_as_default=False)
@@ -155,7 +156,7 @@ def _cluster(address: str) -> Iterator[Players]:
             number = len(client.nthreads())
         except (OSError, asyncio.TimeoutError):
             raise ConfigError(
-                f"--scheduler: {address} has no worker after {_WORKER_WITHIN:g} s; start some in a "
+                f"--scheduler: {address} has no worker after {_WORKER_WITHIN:g} s; start one in a "
                 f"checkout of this commit: ./deploy/python -m dask worker {address} --nthreads 1"
             ) from None
         makings = _makings()
@@ -165,38 +166,38 @@ def _cluster(address: str) -> Iterator[Players]:
             return client.submit(_play_there, *given, pure=False)
 
         lost = (
-            f"--scheduler: a trial was lost by {address} or its workers, which have to run in a "
-            "checkout of this commit, by ./deploy/python -m dask worker"
+            f"--scheduler: {address} or its workers lost a trial; start workers in a checkout of "
+            "this commit by ./deploy/python -m dask worker"
         )
         yield Players(submit, number=number, lost=lost)
     finally:
-        # It forgets what has not begun; a scheduler that is gone has nothing to forget.
+        # The scheduler drops trials that have not begun. A scheduler that is gone raises here.
         with contextlib.suppress(OSError, asyncio.TimeoutError):
             client.close()
 
 
 def _play_there(config: RunConfig, all_active_sets: bool, makings: dict[str, str]) -> Record:
-    """`play`, on a worker of a cluster; `ConfigError` where its rows could differ from ours."""
+    """Play a trial on a worker of a cluster; `ConfigError` for a worker with other versions."""
     import distributed
 
     worker, here = distributed.get_worker(), _makings()
     for name, expected in makings.items():
         if here[name] != expected:
             raise ConfigError(
-                f"--scheduler: expected {name} {expected}, as here, on every worker, got "
+                f"--scheduler: expected {name} {expected} on every worker, as on this machine, got "
                 f"{here[name]} on {worker.address}; bring both to the same commit and "
-                "requirements.lock, and start that worker anew by ./deploy/python -m dask worker"
+                "requirements.lock, and restart that worker by ./deploy/python -m dask worker"
             )
     if worker.state.nthreads != 1:
         raise ConfigError(
-            f"--scheduler: expected workers of one thread, got {worker.state.nthreads} on "
-            f"{worker.address}; start it with --nthreads 1, and --nworkers for more of them"
+            f"--scheduler: expected workers with one thread, got {worker.state.nthreads} on "
+            f"{worker.address}; start it with --nthreads 1, and with --nworkers for more workers"
         )
     return play(config, all_active_sets)
 
 
 def _makings() -> dict[str, str]:
-    """What rows depend on beside the settings: the code, Python, packages, and how they round."""
+    """The versions on which rows depend: the code, Python, packages, and rounding."""
     packages = {name: made for name, made in versions().items() if name != "platform"}
     return {"code": code_version(), **packages}
 

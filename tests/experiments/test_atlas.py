@@ -104,11 +104,11 @@ def test_the_words_have_a_line_per_push_and_a_column_per_delay():
         (("--direction", "left"), "--direction: expected ±x, ±y or ±z, got 'left'"),
         (("--push-at", "9s"), "--push-at: expected before the end at 5 s, got 9s"),
         (("--push-for", "long"), "--push-for: expected a duration.*got 'long'"),
-        (("--seeds", "0"), "seeds: expected how many, at least 1, got 0"),
+        (("--seeds", "0"), "seeds: expected a number of at least 1, got 0"),
         (("--task", "run"), "task: expected one of balance, walk, got 'run'"),
         (("--robot", "juliet"), "robot: expected one of romeo.*got 'juliet'"),
         (("--workers", "0"), "--workers: expected at least 1, got 0"),
-        (("--workers", "1", "--scheduler", "tcp://a:1"), "--workers: the cluster"),
+        (("--workers", "1", "--scheduler", "tcp://a:1"), "--workers: expected without"),
         (("--config", "nowhere.toml"), "config: cannot read nowhere.toml"),
     ],
 )

@@ -110,7 +110,7 @@ def test_limits_are_of_every_cell_and_seed(study_of):
     # In whatever order the rows are.
     assert limits(study, rows[::-1]) == expected
     assert limits_in_words(study, expected, rows).splitlines() == [
-        "the largest n that stood, link.network = constant:{}ms, n from 0 to 100, to within 10",
+        "the largest n that stood, link.network = constant:{}ms, n from 0 to 100, resolution 10",
         "controller  limits  median  interval of the median  least  most",
         "la          2       75      50 … ≥ 100 (50.0 %)     50     ≥ 100",
         "pr          2       15.5    0 … 31 (50.0 %)         0      31",
@@ -124,7 +124,8 @@ def test_without_all_its_trials_a_bisection_has_no_limit(study_of):
     assert found[0] == Limit({"controller": "la"}, 0, None, None)
     # It ends there: at 100 it fell, at 50 was the error.
     assert len([row for row in rows if row["controller"] == "la" and row["seed"] == 0]) == 2
-    assert "ended with an error: 1, the first: E: x" in limits_in_words(study, found, rows)
+    errors = "trials ended with an error: 1; the first: E: x"
+    assert errors in limits_in_words(study, found, rows)
     assert all(limit.standing == 50 for limit in found[1:])
     unfinished = [row for row in rows if row["link.network"] != "constant:56ms"]
     assert all(limit.standing is None for limit in limits(study, unfinished))
@@ -134,7 +135,7 @@ def test_without_all_its_trials_a_bisection_has_no_limit(study_of):
 
 
 def test_a_study_without_a_bisection_has_no_limits(study_of):
-    with pytest.raises(ConfigError, match=r"study short: expected one with \[bisect\]"):
+    with pytest.raises(ConfigError, match=r"study short: expected a study with \[bisect\]"):
         limits(study_of("seeds = 1"), [])
 
 

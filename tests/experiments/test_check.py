@@ -83,7 +83,7 @@ def test_a_changed_cell_is_named_with_its_row_whatever_the_code(folder, capsys):
     (folder / "about.json").write_text(json.dumps(about | {"code": "other"}))
     assert check(folder, "--sample", "4", "--seed", "1") == 1
     shown = capsys.readouterr()
-    assert f"the code is another: {folder} was played with other" in shown.err
+    assert f"the code differs: {folder} was played with code other" in shown.err
     (line,) = (line for line in shown.out.splitlines() if line.startswith("row "))
     assert line.startswith("row 2 (link.network=generated:factory, seed=0) differs: com_error_m is")
     assert f"active_set_discrepancy.ticks is {[ticks[0] + 1, *ticks[1:]]}, played again" in line
@@ -148,8 +148,8 @@ def message(row, again):
 
 def test_a_column_in_one_row_only_is_a_difference():
     assert message({"a": 1, "b": [1, None]}, {"a": 1, "b": [1, None]}) == ""
-    assert message({"a": 1}, {"a": 1, "c": None}) == "c is not there, played again None"
-    assert message({"a": 1, "c": 2}, {"a": 1}) == "c is 2, played again not there"
+    assert message({"a": 1}, {"a": 1, "c": None}) == "c is missing, played again None"
+    assert message({"a": 1, "c": 2}, {"a": 1}) == "c is 2, played again missing"
     assert message({"robot_tick_ms.p50": 1.0}, {"robot_tick_ms.p50": 2.0}) == ""
 
 
@@ -208,8 +208,8 @@ def test_published_sweeps_round_as_every_process_of_ours_does_on_a_processor_wit
 @pytest.mark.parametrize(
     ("file", "text", "shown"),
     [
-        ("about.json", None, "no about.json with the version of its code"),
-        ("about.json", "[]", "no about.json with the version of its code"),
+        ("about.json", None, "without an about.json that names its code"),
+        ("about.json", "[]", "without an about.json that names its code"),
         ("trials.parquet", None, "no trials.parquet"),
         ("trials.parquet", "PAR1", "cannot read "),
         ("study.toml", "seeds =", "is not valid TOML"),

@@ -219,5 +219,5 @@ def test_a_bisection_killed_in_the_middle_goes_on_to_the_same_table(tmp_path, un
 def test_a_journal_that_is_none_is_an_error_in_one_line(play, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "trials.jsonl").write_text('{"trial": "x"}\n')
-    with pytest.raises(ConfigError, match=r"trials\.jsonl has a line that is no trial"):
+    with pytest.raises(ConfigError, match=r"in every line of .*trials\.jsonl, got another"):
         play(Oracle())

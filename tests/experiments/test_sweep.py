@@ -152,7 +152,7 @@ def test_a_trial_that_fails_is_a_row(tmp_path, study_of):
     assert (played["error"], played["fell"]) == (None, False)
     assert read_trials(tmp_path / "out").to_pylist() == [failed, played]
     text = table_in_words([failed, played], ["walk.step_length"])
-    assert "ended with an error: 1, the first: ConfigError: walk: " in text
+    assert "trials ended with an error: 1; the first: ConfigError: walk: " in text
 
 
 def test_a_column_that_no_summary_has_is_an_error_that_lists_them(again, study_of):
@@ -212,5 +212,5 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path):
         _, message = process.communicate()
     finally:
         process.kill()
-    assert message == f"interrupted; the same command goes on with {out}\n"
+    assert message == f"interrupted; the same command continues in {out}\n"
     assert all(json.loads(line)["error"] is None for line in lines_of(out))
