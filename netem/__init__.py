@@ -1,1 +1,1 @@
-"""The emulated link: replays one-way delays recorded on, or simulated of, a real one."""
+"""The emulated link: replays one-way delays that were recorded on a real link or simulated."""

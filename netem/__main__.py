@@ -9,15 +9,15 @@ begin(__name__)
 from shared.process.cli import Subcommand, run, run_command
 
 COMMANDS = (
-    Subcommand("list", "shipped profiles and what they are like", "netem.inspect"),
-    Subcommand("show", "one profile, as text or as a picture", "netem.inspect"),
-    Subcommand("stats", "delays and outages of a profile", "netem.inspect"),
-    Subcommand("generate", "profiles of a modelled 5G link", "netem.generator.generate"),
-    Subcommand("calibrate", "the model beside ns-3", "netem.generator.calibration"),
+    Subcommand("list", "list the shipped profiles with their delays", "netem.inspect"),
+    Subcommand("show", "show one profile, as text or as a picture", "netem.inspect"),
+    Subcommand("stats", "print delays and outages of a profile", "netem.inspect"),
+    Subcommand("generate", "generate profiles of a modelled 5G link", "netem.generator.generate"),
+    Subcommand("calibrate", "compare the model with ns-3", "netem.generator.calibration"),
     Subcommand("record", "measure a real path as a profile", "netem.recorder.record"),
-    Subcommand("convert", "a foreign measurement as a profile", "netem.convert"),
-    Subcommand("replay", "stand between robot and edge", "netem.replay"),
-    Subcommand("packets", "be the link, packet by packet", "netem.packets"),
+    Subcommand("convert", "convert a measurement to a profile", "netem.convert"),
+    Subcommand("replay", "delay messages between robot and edge", "netem.replay"),
+    Subcommand("packets", "delay IP packets between robot and edge", "netem.packets"),
 )
 
 

@@ -1,8 +1,9 @@
-"""A queue that holds each message until its delay has passed: one direction of the link.
+"""One direction of the link: a queue that holds each message until its delay has passed.
 
-Pure: it is told the time and asked what is due. A message is due at the time it was *sent* plus the
-profile's delay for it, so that the shim's own transport does not add up. Never early, never
-twice; in the order of sending unless `keep_order` is off.
+The queue reads no clock. Its caller gives the time and takes the messages that are due. A message
+is due at the time at which it was *sent* plus the profile's delay, so the shim's own transport does
+not add to the delay. No message leaves early or twice. Messages leave in the order of sending
+unless `keep_order` is off.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, slots=True)
 class Due(Generic[Item]):
-    """A message released from the line. `nominal_ns` is the delay it was given."""
+    """A message released from the line, with the delay that the line gave it, `nominal_ns`."""
 
     item: Item
     sent_ns: int
@@ -33,7 +34,7 @@ class Due(Generic[Item]):
 def make_lines(
     profile: Profile, config: LinkConfig, *, seed: int, start_ns: int
 ) -> list[DelayLine[Any]]:
-    """The two directions of a link that begins at `start_ns`, uplink first."""
+    """Both directions of a link that begins at `start_ns`, uplink first."""
     count_as = (config.uplink_bytes, config.downlink_bytes)
     return [
         DelayLine(
@@ -53,7 +54,7 @@ def make_lines(
 
 
 class DelayLine(Generic[Item]):
-    """Delays items by a profile; see the module. `lost` counts those dropped on purpose."""
+    """Delays items by a profile; see the module. `lost` counts the items that the link loses."""
 
     def __init__(
         self,
@@ -87,7 +88,7 @@ class DelayLine(Generic[Item]):
         return len(self._heap)
 
     def push(self, item: Item, *, sent_ns: int, size: int = 0) -> int | None:
-        """Take in a message of `size` bytes; when it is due [ns], or None if the link loses it."""
+        """Queue a message of `size` bytes. Return its due time [ns], None if the link loses it."""
         elapsed_ns = max(0, sent_ns - self._start_ns)
         delay_ns = self._delay_ns(elapsed_ns + self._offset_ns, self._count_as or size)
         for outage in self._outages:
@@ -109,16 +110,16 @@ class DelayLine(Generic[Item]):
 
     @property
     def next_due_ns(self) -> int | None:
-        """When the next message is due [ns]; None if the line is empty."""
+        """The time at which the next message is due [ns]; None if the line is empty."""
         return self._heap[0][0] if self._heap else None
 
     def pop_due(self, now_ns: int, *, limit: int | None = None) -> list[Due[Item]]:
-        """Messages due by `now_ns`, in the order they are due; `limit` of them at most."""
+        """Remove and return the messages due by `now_ns`, in order, at most `limit`."""
         due: list[Due[Item]] = []
         while self._heap and self._heap[0][0] <= now_ns and len(due) != limit:
             due.append(heapq.heappop(self._heap)[2])
         return due
 
     def passes(self, now_ns: int) -> int:
-        """How many whole passes through the profile have ended by `now_ns`."""
+        """The number of whole passes through the profile that have ended by `now_ns`."""
         return (max(0, now_ns - self._start_ns) + self._offset_ns) // self.profile.duration_ns

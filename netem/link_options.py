@@ -1,4 +1,4 @@
-"""What `replay` and `packets` share on the command line: which link to emulate."""
+"""Command line options of `replay` and `packets` for the link to emulate."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from shared.process.cli import add_run_arguments, config_from
 
 
 def add_link_arguments(parser: argparse.ArgumentParser) -> None:
-    """The network, by its place or as `--network`, and the options of a run."""
+    """Add the network, as a positional argument or `--network`, and the options of a run."""
     parser.add_argument("profile", nargs="?", metavar="NETWORK", help="the same as --network")
     add_run_arguments(parser)
 
 
 def link_config_from(arguments: argparse.Namespace, *, direct: str) -> RunConfig:
-    """The run that the arguments describe; `direct` tells whoever names that network what to do."""
+    """The run that the arguments describe; `direct` is the error text for the network *direct*."""
     if arguments.profile is not None:
         if arguments.network is not None:
             raise ConfigError(

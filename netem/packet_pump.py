@@ -1,9 +1,9 @@
-"""Moves IP packets between the two ends of a link, each after the delay of the time it was sent.
+"""Moves IP packets between the two ends of a link, each after the delay at its sending time.
 
-The shim below the transport: it sees packets, not messages, so that fragmentation, loss of one
-fragment, retransmission, head-of-line blocking and full queues are the real ones. A packet is sent
-when it is read here. A direction holds a limited number of bytes; a packet that finds no room is
-dropped (drop-tail).
+This shim works below the transport: it sees packets, not messages. Fragmentation, loss of one
+fragment, retransmission, head-of-line blocking and full queues are therefore real. The sending time
+of a packet is the time at which the pump reads it. A direction holds a limited number of bytes. A
+packet that finds no room is dropped (drop-tail).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ import numpy as np
 from netem.delay_line import DelayLine
 from shared.errors import LinkError
 
-# Packets of a direction taken in, and let out, before the other's turn: a burst one way must not
-# hold the other back for long.
+# Packets of one direction that are read, and written, before the turn of the other direction. A
+# burst one way must not hold the other back for long.
 _BATCH = 32
 _IDLE_SECONDS = 0.1
 
 
 class Lateness:
-    """Histogram of how late packets left, in bins of 10 µs up to 0.1 s: nothing grows."""
+    """Histogram of the lateness of packets, in bins of 10 µs up to 0.1 s, of constant size."""
 
     _BIN_NS = 10_000
 
@@ -34,7 +34,7 @@ class Lateness:
         self.max_ns = 0
 
     def add(self, late_ns: int) -> None:
-        """Count one packet that left so late [ns]."""
+        """Count one packet that left `late_ns` after it was due."""
         self._counts[min(late_ns // self._BIN_NS, len(self._counts) - 1)] += 1
         self.max_ns = max(self.max_ns, late_ns)
 
@@ -49,8 +49,8 @@ class Lateness:
 class Way:
     """One direction: packets read at one descriptor are written to another when they are due.
 
-    `full` counts packets that found no room in `queue_bytes`, `refused` those that the device at
-    the other end did not take.
+    `full` counts packets that found no room in `queue_bytes`. `refused` counts packets that the
+    device at the other end did not accept.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Way:
         self._held_bytes = 0
 
     def take(self) -> None:
-        """Take in what has been sent, at most a batch; `LinkError` if the device is gone."""
+        """Read the packets that were sent, at most a batch; `LinkError` if the device is gone."""
         for _ in range(_BATCH):
             try:
                 packet = os.read(self.source, self._packet_bytes)
@@ -80,8 +80,8 @@ class Way:
                 return
             except OSError as error:
                 raise LinkError(
-                    f"cannot read from a TUN device: {error.strerror}; its namespace must stay "
-                    "until this has ended"
+                    f"expected packets from a TUN device, got {error.strerror}; keep its namespace "
+                    "until this command has ended"
                 ) from None
             now_ns, size = time.monotonic_ns(), len(packet)
             self.packets += 1
@@ -92,19 +92,19 @@ class Way:
                 self._held_bytes += size
 
     def release(self) -> None:
-        """Let out what is due, at most a batch."""
+        """Write the packets that are due, at most a batch."""
         for due in self.line.pop_due(time.monotonic_ns(), limit=_BATCH):
             self._held_bytes -= len(due.item)
             try:
                 os.write(self._target, due.item)
             except OSError:
-                # The device is down or has no room: lost, as at the end of any cable.
+                # The device is down or has no room. The packet is lost, as at the end of a cable.
                 self.refused += 1
             self.lateness.add(time.monotonic_ns() - due.sent_ns - due.nominal_ns)
 
 
 def wait_for_packet(sources: Sequence[int], *, stopping: Callable[[], bool]) -> int | None:
-    """When the first packet could be read at one of the descriptors [ns]; None if `stopping()`."""
+    """Wait for a first packet at one of the descriptors. Return the time [ns]; None if stopped."""
     while not stopping():
         if select.select(sources, (), (), _IDLE_SECONDS)[0]:
             return time.monotonic_ns()

@@ -1,8 +1,8 @@
-"""The emulated link below the transport: `./wbc netem packets factory/003`, as root.
+"""Emulates the link below the transport: `./wbc netem packets factory/003`, as root.
 
-Makes two network namespaces and moves every IP packet from one to the other as the profile has it.
-Whatever is started in them (`ip netns exec …`) has this link between its ends, with the fragments,
-retransmissions and queues of its own transport; `docs/packet-level.md` tells when that matters.
+Makes two network namespaces and moves every IP packet from one to the other with the profile's
+delay. Programs started in them (`ip netns exec …`) have this link between them, with the fragments,
+retransmissions and queues of their transport. `docs/packet-level.md` says when that matters.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from shared.process.cli import EXIT_STANDING
 from shared.process.realtime import prepare, suspend_garbage_collection
 from shared.process.service import StopSignal
 
-# Before the nodes: a packet that waits to be read waits in no profile.
+# Above the priority of the nodes: the profile does not count the time before a packet is read.
 _PRIORITY = 40
 _PORT = 7460
 
 
 def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `packets`."""
+    """Add the options of `packets`."""
     parser.add_argument(
-        "--robot-ns", metavar="NAME", default="wbc-robot", help="(default %(default)s)"
+        "--robot-ns", metavar="NAME", default="wbc-robot", help="namespace; default %(default)s"
     )
     parser.add_argument(
-        "--edge-ns", metavar="NAME", default="wbc-edge", help="(default %(default)s)"
+        "--edge-ns", metavar="NAME", default="wbc-edge", help="namespace; default %(default)s"
     )
     parser.add_argument(
         "--mtu",
         metavar="BYTES",
         type=int,
         default=1500,
-        help="largest packet (default %(default)s); a larger one means fewer packets to move",
+        help="largest packet (default %(default)s); larger packets are fewer packets to move",
     )
     add_link_arguments(parser)
 
 
 def run_packets(arguments: argparse.Namespace) -> int:
-    """Be the link until a signal; 0."""
+    """Emulate the link until a signal arrives. Return 0."""
     config = _config(arguments)
     profile = load_network(config.link.network)
     stop = StopSignal()
@@ -81,9 +81,9 @@ def _config(arguments: argparse.Namespace) -> RunConfig:
     if not MIN_MTU <= arguments.mtu <= MAX_MTU:
         raise ConfigError(f"--mtu: expected {MIN_MTU} to {MAX_MTU}, got {arguments.mtu}")
     if arguments.robot_ns == arguments.edge_ns:
-        raise ConfigError(f"--edge-ns: expected another name than --robot-ns, {arguments.edge_ns}")
+        raise ConfigError(f"--edge-ns: expected a name other than --robot-ns, {arguments.edge_ns}")
     config = link_config_from(arguments, direct="direct means no link to emulate; try constant:0ms")
-    # What a message is to count as says nothing of a packet.
+    # The configured sizes are sizes of messages. A packet counts with its real size.
     link = dataclasses.replace(config.link, uplink_bytes=0, downlink_bytes=0)
     return dataclasses.replace(config, link=link)
 
@@ -91,7 +91,7 @@ def _config(arguments: argparse.Namespace) -> RunConfig:
 def _move(
     profile: Profile, config: RunConfig, ends: tuple[End, End], *, mtu: int, stop: StopSignal
 ) -> list[Way]:
-    """Move packets until a signal, uplink and downlink; none if none was sent.
+    """Move packets until a signal arrives. Return uplink and downlink, [] if no packet was sent.
 
     The profile begins with the first packet.
     """

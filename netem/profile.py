@@ -1,7 +1,7 @@
-"""Delay profiles: the one-way delay, each way, of a message sent at each instant.
+"""Delay profiles: the one-way delay of a message sent in each period, each way.
 
-A profile is replayed by time: a message sent t after the start takes the delay that the profile
-holds for t, and the profile repeats when it ends. `docs/profiles.md` describes the files.
+A profile is replayed by time. A message sent t after the start takes the delay that the profile
+has at t. The profile repeats when it ends. `docs/profiles.md` describes the files.
 """
 
 from __future__ import annotations
@@ -15,27 +15,28 @@ import numpy as np
 from shared.config.settings import LinkConfig
 
 LOST = -1
-# No link of use is slower; a larger number is an error of units.
+# A larger delay is taken for an error of units.
 MAX_DELAY_MS = 3_600_000.0
 UPLINK, DOWNLINK = 0, 1
 DIRECTIONS = ("uplink", "downlink")
 PERIOD_NS = 1_000_000
 
-# Delay [ns] of a message of so many bytes sent so long [ns] after the profile began, or `LOST`.
+# Arguments: the time from the start of the profile to the sending [ns], and the size of the message
+# [bytes]. Returns its delay [ns], or `LOST`.
 DelaySource = Callable[[int, int], int]
 
 
 class Profile(Protocol):
-    """What a link replays: the delays of messages, or the capacity that makes them."""
+    """The interface of a profile: delays of messages, or a capacity that gives them."""
 
     @property
     def name(self) -> str:
-        """What `--network` names it by."""
+        """The name for `--network`."""
         ...
 
     @property
     def period_ns(self) -> int:
-        """How long one value holds [ns]."""
+        """The length of a period, for which one value holds [ns]."""
         ...
 
     @property
@@ -45,15 +46,15 @@ class Profile(Protocol):
 
     @property
     def nominal_round_trip_ns(self) -> int:
-        """Round trip of a message that meets nothing unusual [ns]."""
+        """Round trip of a message outside outages [ns]."""
         ...
 
     def source(self, direction: int, *, queue_bytes: int) -> DelaySource:
-        """The delay of each message of one direction."""
+        """A function that gives the delay of each message of one direction."""
         ...
 
     def start_offset_ns(self, seed: int) -> int:
-        """Where in the profile a run of this seed begins: a whole number of periods [ns]."""
+        """The place in the profile at which a run of this seed begins: whole periods [ns]."""
         ...
 
 
@@ -61,9 +62,9 @@ class Profile(Protocol):
 class DelayProfile:
     """One-way delays [ns], one per `period_ns` of sending time, each way; `LOST` for a loss.
 
-    `delays_ns` (2, n) int64, uplink then downlink. `columns` is what else is known of each period,
-    arrays (n,): `uplink_capacity_bytes` and `downlink_capacity_bytes`, what the link could have
-    carried in it, or a radio link's `sinr_dl_db`. `metadata` says where it comes from.
+    `delays_ns` is (2, n) int64, uplink then downlink. `columns` has further values of each period,
+    arrays (n,). Examples are the capacity (`uplink_capacity_bytes`, `downlink_capacity_bytes`) and
+    the `sinr_dl_db` of a radio link. `metadata` has the source.
     """
 
     name: str
@@ -84,16 +85,16 @@ class DelayProfile:
         return int(self.delays_ns[direction, index])
 
     def source(self, direction: int, *, queue_bytes: int) -> DelaySource:
-        """The delay of each message of one direction, however large it is."""
+        """A function that gives the delay of each message of one direction, of any size."""
         return lambda elapsed_ns, size: self.delay_ns(direction, elapsed_ns)
 
     def start_offset_ns(self, seed: int) -> int:
-        """Where in the profile a run of this seed begins: a whole number of periods."""
+        """The place in the profile at which a run of this seed begins: whole periods [ns]."""
         return start_offset_ns(seed, self.delays_ns.shape[1], self.period_ns)
 
     @property
     def nominal_round_trip_ns(self) -> int:
-        """Median uplink plus median downlink delay [ns], losses aside."""
+        """Median uplink plus median downlink delay, without losses [ns]."""
         return int(sum(np.median(way[way != LOST]) for way in self.delays_ns))
 
 
@@ -105,5 +106,5 @@ def begin_ns(profile: Profile, link: LinkConfig, *, seed: int) -> int:
 
 
 def start_offset_ns(seed: int, periods: int, period_ns: int) -> int:
-    """Where a run of this seed begins in a profile of so many periods [ns]."""
+    """The place at which a run of this seed begins in a profile of `periods` periods [ns]."""
     return int(np.random.default_rng([seed, 7]).integers(periods)) * period_ns

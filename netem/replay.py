@@ -1,7 +1,7 @@
-"""The emulated link as a process: `./wbc netem replay factory/003 --listen … --connect …`.
+"""Runs the shim as a process: `./wbc netem replay factory/003 --listen … --connect …`.
 
-The robot dials `--listen`, the shim dials the edge at `--connect`. Key expressions are the same on
-both sides: taking the shim out is a change of one endpoint.
+The robot dials `--listen`. The shim dials the edge at `--connect`. Key expressions are the same on
+both sides, so a run without the shim differs in one endpoint only.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ from shared.telemetry.schema import LINK_SCHEMA
 from shared.wire.channels import DOWNLINK, LINK_KEY, UPLINK
 
 _PRIORITY = 20
-# A spun microsecond is taken from robot and edge where they have no core each (`docs/timing.md`).
+# With fewer cores, spinning takes time from robot and edge (`docs/timing.md`).
 _SPINNING_CORES = 4
 _MAX_SPIN_NS = 80_000
 
 
 def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `replay`."""
+    """Add the options of `replay`."""
     parser.add_argument(
         "--listen",
         metavar="ENDPOINT",
         default=NETEM_ENDPOINT,
-        help="robot side (default %(default)s)",
+        help="endpoint for the robot (default %(default)s)",
     )
     parser.add_argument(
         "--connect",
         metavar="ENDPOINT",
         default=EDGE_ENDPOINT,
-        help="edge side (default %(default)s)",
+        help="endpoint of the edge (default %(default)s)",
     )
     add_service_arguments(parser)
     add_link_arguments(parser)
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
-    """Stand between robot and edge until a signal; 0."""
+    """Delay messages between robot and edge until a signal arrives. Return 0."""
     config = link_config_from(
-        arguments, direct="direct means no shim at all; the robot dials the edge itself"
+        arguments, direct="direct means no shim; let the robot dial the edge, or try constant:0ms"
     )
     profile = load_network(config.link.network)
     me = identity_from(arguments, role=NETEM, kind=config.robot.name)

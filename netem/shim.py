@@ -1,9 +1,9 @@
 """The shim: two delay lines between a near side (the robot) and a far side (the edge).
 
 Messages come in on the buses' threads and go out on one releasing thread, which sleeps until just
-before the next one is due. A message is due a nominal delay after it was *sent* if sender and shim
-read the same clock, else after it arrived. Payloads are opaque. What is under way takes bounded
-memory.
+before the next one is due. If sender and shim read the same clock, a message is due its nominal
+delay after it was *sent*. Otherwise it is due that delay after it arrived. The shim does not read
+payloads. Messages under way take bounded memory.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from shared.bus.base import Delivery, Publisher
 from shared.config.settings import LinkConfig
 
 _IDLE_SECONDS = 0.1
-# Messages of each direction released before the next look at what is due: at an outage's end
-# hundreds leave in one direction, which must not hold the other back.
+# Messages of each direction released in one go. At the end of an outage hundreds of messages leave
+# in one direction; they must not hold the other direction back.
 _BATCH = 4
-# Under way at a time: 26 s of both directions in full. More is lost rather than held.
+# Limit for messages under way: 26 s of both directions at full rate. Further messages are lost.
 _MAX_BYTES = 2**30
-# A constant profile is one period long; that it begins again is no news.
+# A constant profile is one period long, so its repetition is not reported.
 _CONSTANT_SECONDS = 0.01
 
 
 @dataclass(frozen=True)
 class Sides:
-    """Where each direction's messages go on: `uplink` on the far bus, `downlink` on the near."""
+    """The publishers of both directions: `uplink` on the far bus, `downlink` on the near bus."""
 
     uplink: Publisher
     downlink: Publisher
@@ -41,9 +41,9 @@ class Sides:
 class Shim:
     """Delays messages both ways. `receive` is given to the buses, `run` to a thread.
 
-    `row` gives the next row of `LINK_SCHEMA` to fill. `clock` names the clock of this machine as
-    envelopes do; 0 is none, and believes no stamp. The last `spin_ns` before a message is due are
-    spun, not slept.
+    `row` gives the next row of `LINK_SCHEMA` to fill. `clock` is the identity of this machine's
+    clock in envelopes; with 0 the shim uses no stamp. For the last `spin_ns` before a message is
+    due, the thread spins.
     """
 
     def __init__(
@@ -74,11 +74,11 @@ class Shim:
 
     @property
     def under_way(self) -> int:
-        """How many messages wait to be released."""
+        """The number of messages that wait to be released."""
         return sum(len(line) for line in self._lines)
 
     def receive(self, direction: int) -> Callable[[Delivery], None]:
-        """What takes in the messages of one direction."""
+        """The callback for the messages of one direction."""
 
         def take(delivery: Delivery) -> None:
             sent_ns = self._sent_ns(delivery)
@@ -106,30 +106,30 @@ class Shim:
                 self._release()
 
     def _sent_ns(self, delivery: Delivery) -> int:
-        """When it was sent by its stamp, or else when it came: now."""
+        """The sending time [ns]: the message's stamp if it is of our clock, or else the present."""
         now_ns, envelope = time.monotonic_ns(), delivery.envelope
         if envelope is None or envelope.clock != self._clock or self._clock == 0:
             return now_ns
-        # A stamp of the future is wrong, and in order of sending all others would wait behind it.
+        # A stamp in the future is wrong. All later messages would wait behind such a message.
         return min(envelope.sent_ns, now_ns)
 
     def _has_room(self, delivery: Delivery) -> bool:
-        """Whether one more message may be held; says so the first time that it may not."""
+        """Return whether there is room for one more message. Report the first overflow."""
         if self._held_bytes + len(delivery.data) <= _MAX_BYTES:
             return True
         if not self._overflowed:
             self._overflowed = True
-            self._say(f"{_MAX_BYTES >> 20} MiB are under way: what finds no room is lost")
+            self._say(f"{_MAX_BYTES >> 20} MiB are under way; messages without room are lost")
         return False
 
     def _start(self, start_ns: int) -> None:
-        """The profile begins with the first message."""
+        """Begin the profile with the first message."""
         self._lines = make_lines(self._profile, self._config, seed=self._seed, start_ns=start_ns)
         offset_ns = begin_ns(self._profile, self._config, seed=self._seed)
         self._say(f"replaying {self._profile.name} from {offset_ns * 1e-9:.3f} s")
 
     def _wait_for_work(self) -> bool:
-        """Sleep until a message is due or something has changed; whether one is due."""
+        """Sleep until a message is due or the queue changes. Return whether one is due."""
         with self._changed:
             due = [line.next_due_ns for line in self._lines if line.next_due_ns is not None]
             if not due:
@@ -138,10 +138,10 @@ class Shim:
             due_ns = min(due)
             sleep_ns = due_ns - time.monotonic_ns() - self._spin_ns
             if sleep_ns > 0:
-                # Not for all of a long outage: we may have to stop.
+                # Wake up during a long outage too, to see a request to stop.
                 self._changed.wait(min(sleep_ns * 1e-9, _IDLE_SECONDS))
                 return False
-        # Without the lock: messages come in meanwhile.
+        # Spin without the lock, so that messages come in meanwhile.
         while time.monotonic_ns() < due_ns:
             pass
         return True
@@ -164,15 +164,15 @@ class Shim:
             self.passes = passes
             seconds = self._profile.duration_ns * 1e-9
             if seconds > _CONSTANT_SECONDS:
-                self._say(f"profile {self._profile.name} ended after {seconds:g} s: from its start")
+                self._say(f"profile {self._profile.name} ended after {seconds:g} s and repeats")
 
 
 def record_message(
     row: np.ndarray, direction: int, due: Due[Delivery], *, released_ns: int | None
 ) -> None:
-    """Fill a row of `LINK_SCHEMA`; `released_ns` None for a message the link lost."""
+    """Fill a row of `LINK_SCHEMA`. `released_ns` is None for a message that the link lost."""
     envelope = due.item.envelope
-    # In the order of the schema's columns.
+    # The order is that of the schema's columns.
     row[:] = (
         due.sent_ns,
         direction,

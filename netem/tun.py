@@ -1,9 +1,9 @@
-"""Two network namespaces with a TUN device in each: the ends of a link that passes through us.
+"""Two network namespaces with a TUN device in each: the ends of a link through this process.
 
-What a process in one namespace sends to the other's address comes out of a file descriptor here,
-one IP packet per read; a packet written to the other descriptor arrives there. Needs root and
-/dev/net/tun. The devices vanish with the process that made them, whatever becomes of it; of a
-killed run only the names of the namespaces remain.
+A packet that a process in one namespace sends to the other's address can be read here at a file
+descriptor, one IP packet per read. A packet written to the other descriptor arrives in the other
+namespace. Needs root and /dev/net/tun. The devices vanish when the process that made them ends.
+After a killed run the names of the namespaces remain.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ DEVICE = "link0"
 _PREFIX = 30
 _TUN = Path("/dev/net/tun")
 _MODULE = f"try `modprobe tun`, or in a container --device {_TUN}"
-# linux/if_tun.h: a layer-3 device, packets without a header of the driver's own.
+# linux/if_tun.h: a layer-3 device, packets without a header of the driver.
 _TUNSETIFF, _IFF_TUN, _IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 _IFREQ = struct.Struct("16sH22x")
-# Packets a device holds until they are read here; the default of 500 is 18 messages of 40 kB.
+# Packets that a device holds until they are read. The default of 500 is 18 messages of 40 kB.
 _DEVICE_PACKETS = 10_000
 MIN_MTU, MAX_MTU = 576, 65_535
 
 
 @dataclass(frozen=True)
 class End:
-    """One side of the link: processes run in `namespace`, packets pass through `descriptor`."""
+    """One end of the link: processes run in `namespace`, packets pass through `descriptor`."""
 
     namespace: str
     address: str
@@ -47,20 +47,20 @@ class End:
 
 
 def why_not_permitted() -> str | None:
-    """What is missing for a pair of namespaces; None if nothing is seen to be."""
+    """The first missing precondition for a pair of namespaces, as an error text; None if met."""
     if sys.platform != "linux":
-        return f"network namespaces and TUN devices need Linux, this is {sys.platform}"
+        return f"network namespaces and TUN devices need Linux, got {sys.platform}"
     if os.geteuid() != 0:
-        return "network namespaces and TUN devices need root: try sudo"
+        return "network namespaces and TUN devices need root; try sudo"
     if shutil.which("ip") is None:
-        return "no `ip` command: install iproute2"
+        return "expected the command ip, got none; install iproute2"
     if not _TUN.exists():
-        return f"no {_TUN}: {_MODULE}"
+        return f"expected {_TUN}, got none; {_MODULE}"
     return None
 
 
 class NamespacePair:
-    """A context that makes namespaces and devices and removes them. `LinkError` if it cannot."""
+    """A context that makes and removes namespaces and devices. `LinkError` if it cannot."""
 
     def __init__(self, *, robot: str, edge: str, mtu: int) -> None:
         self._names = (robot, edge)
@@ -69,7 +69,7 @@ class NamespacePair:
         self._descriptors: list[int] = []
 
     def __enter__(self) -> tuple[End, End]:
-        """The robot's end and the edge's."""
+        """Make the robot's end and the edge's end."""
         missing = why_not_permitted()
         if missing is not None:
             raise LinkError(missing)
@@ -93,7 +93,7 @@ class NamespacePair:
         self._remove()
 
     def dropped(self) -> list[int]:
-        """Packets that each end's device dropped before they could be read here."""
+        """The number of packets that each end's device dropped before they were read."""
         return [_transmit_drops(name) for name in self._made]
 
     def _refuse_leftovers(self) -> None:
@@ -104,11 +104,11 @@ class NamespacePair:
         where = " and ".join(present)
         if inside:
             raise LinkError(
-                f"namespace {where} is in use by process {', '.join(inside)}: end it, or choose "
+                f"namespace {where} is in use by process {', '.join(inside)}; end it, or choose "
                 "other names with --robot-ns and --edge-ns"
             )
         remedy = " && ".join(f"ip netns del {name}" for name in present)
-        raise LinkError(f"namespace {where} is left of a killed run: remove it with {remedy}")
+        raise LinkError(f"namespace {where} is left from a killed run; remove it with {remedy}")
 
     def _end(self, name: str, address: str) -> End:
         _ip("netns", "add", name)
@@ -116,7 +116,7 @@ class NamespacePair:
         descriptor, device = _open_tun()
         self._descriptors.append(descriptor)
         _ip("link", "set", "dev", device, "netns", name, "name", DEVICE)
-        # No IPv6: its own messages would be packets on the link that nobody sent.
+        # No IPv6: its messages would be packets on the link that no program sent.
         _ip("-n", name, "link", "set", "dev", DEVICE, "addrgenmode", "none")
         _ip("-n", name, "addr", "add", f"{address}/{_PREFIX}", "dev", DEVICE)
         _ip("-n", name, "link", "set", "dev", DEVICE, "mtu", str(self._mtu))
@@ -129,7 +129,7 @@ class NamespacePair:
         for descriptor in self._descriptors:
             os.close(descriptor)
         for name in self._made:
-            # Whoever removed it before us has done what we want.
+            # The namespace may have been removed already.
             with contextlib.suppress(LinkError):
                 _ip("netns", "del", name)
         self._descriptors, self._made = [], []
@@ -141,7 +141,7 @@ def namespaces() -> list[str]:
 
 
 def _open_tun() -> tuple[int, str]:
-    """A new device in this process's namespace: non-blocking descriptor and name."""
+    """Make a device in this process's namespace. Return its non-blocking descriptor and name."""
     descriptor = -1
     try:
         descriptor = os.open(_TUN, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -164,8 +164,8 @@ def _transmit_drops(namespace: str) -> int:
 
 
 def _ip(*arguments: str) -> str:
-    """Output of `ip …`; `LinkError` with what it says if it fails."""
-    # In a session of its own: Ctrl-C at the terminal must not end it halfway.
+    """Run `ip …`. Return its output; `LinkError` with its error text if it fails."""
+    # A new session: Ctrl-C at the terminal must not end the command halfway.
     done = subprocess.run(
         ["ip", *arguments], check=False, capture_output=True, text=True, start_new_session=True
     )

@@ -1,1 +1,1 @@
-"""Draws delay profiles of a 5G mmWave link; `docs/network-model.md`."""
+"""Generates delay profiles of a 5G mmWave link; `docs/network-model.md`."""

@@ -1,10 +1,10 @@
-"""Generated profiles beside the shipped ns-3 profiles: `./wbc netem calibrate`.
+"""Compares generated profiles with the shipped ns-3 profiles: `./wbc netem calibrate`.
 
-The gains of the model were fitted to the odd runs of ns-3 alone; the table gives both halves, so
-that what was learnt by heart would show. `docs/network-model.md` says what else has seen which.
-Two samples are compared by the Kolmogorov–Smirnov statistic D = sup |F₁ − F₂|. Its p-value takes
-the samples as independent: about right for outages and for runs, wrong for the delays of one run
-after another, of which therefore D alone is given.
+The gains of the model were fitted to the odd runs of ns-3 alone. The table gives both halves, so
+that overfitting to the odd runs would show. `docs/network-model.md` lists which other parts of the
+model were fitted to which runs. Two samples are compared by the Kolmogorov–Smirnov statistic
+D = sup |F₁ − F₂|. Its p-value assumes independent samples. That is about right for outages and for
+runs, and wrong for successive delays of a run. For these the table gives D alone.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from shared.output.versions import cpu_name, versions
 from shared.process.cli import EXIT_STANDING
 
 MAX_SETS = 100
-# D at which two samples of n and m differ at the 5 % level: so much × √((n + m) / (n m)).
+# Two samples of n and m values differ at the 5 % level if D exceeds this × √((n + m) / (n m)).
 _CRITICAL = 1.358
 
 
@@ -48,7 +48,7 @@ class Measured:
 
     @cached_property
     def figures(self) -> dict[str, float]:
-        """The figures of the table under their names there."""
+        """The figures of the table, by their names in the table."""
         of = statistics(self.profiles, self.link)
         return {
             "base delay (median)": of.median,
@@ -68,7 +68,7 @@ class Measured:
 
     @cached_property
     def samples(self) -> dict[str, np.ndarray]:
-        """What is compared as a distribution, under its name in the table."""
+        """The samples that are compared as distributions, by their names in the table."""
         found = [outages(run) for run in self.runs]
         return {
             "peaks": np.array([outage.peak_ms for run in found for outage in run]),
@@ -97,18 +97,18 @@ def shared_outages(profiles: Sequence[DelayProfile]) -> tuple[float, float]:
 
 
 def ns3_runs(scenario: Scenario) -> list[DelayProfile]:
-    """The shipped ns-3 profiles of a scenario, in order: run 1 first."""
+    """The shipped ns-3 profiles of a scenario, from run 1 on."""
     return [
         load_profile(name) for name in shipped_names() if name.rpartition("/")[0] == scenario.name
     ]
 
 
 def add_calibrate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `calibrate`."""
-    parser.add_argument("--seed", type=int, default=0, help="of the first profile")
+    """Add the options of `calibrate`."""
+    parser.add_argument("--seed", type=int, default=0, help="seed of the first profile")
     parser.add_argument("--count", type=int, default=100, help="profiles in a set")
     parser.add_argument(
-        "--sets", type=int, default=1, help="so many sets, of other seeds: gives the ratios' range"
+        "--sets", type=int, default=1, help="sets, of different seeds; several give ratio ranges"
     )
     parser.add_argument(
         "--out", type=Path, default=Path("docs/figures/network-model.png"), metavar="FILE.png"
@@ -119,8 +119,8 @@ def add_calibrate_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
-    """Print and write the table, draw the figure; 0."""
-    from netem.generator.calibration_figure import draw  # matplotlib: not for the other commands
+    """Print and write the table, and draw the figure. Return 0."""
+    from netem.generator.calibration_figure import draw  # imports matplotlib, which is slow
 
     seed, count, sets = arguments.seed, arguments.count, arguments.sets
     check_set(count, seed)
@@ -154,7 +154,7 @@ def table(
     generated: Sequence[DelayProfile],
     others: Sequence[Sequence[DelayProfile]] = (),
 ) -> str:
-    """The part of one scenario; `others` are further generated sets, for the ratios' range."""
+    """The part of the table for one scenario; `others`: more generated sets, for ratio ranges."""
     again = [p.metadata["draws"] - 1 for each in (generated, *others) for p in each]
     lines = [
         f"{scenario.name}: {len(ns3)} ns-3 runs, {len(generated)} generated; of "
@@ -222,7 +222,7 @@ def distance(sample: np.ndarray, other: np.ndarray) -> float:
 
 
 def p_value(d: float, n: int, m: int) -> float:
-    """Probability of a D so large if both samples are of one distribution, n and m independent.
+    """Probability of a D of at least `d` for n and m independent values of one distribution.
 
     2 Σ (−1)ᵏ⁻¹ exp(−2 k² λ²), λ = (√e + 0.12 + 0.11/√e) D with e = n m/(n + m) (Stephens, 1970).
     """

@@ -1,4 +1,4 @@
-"""The figure of `./wbc netem calibrate`: distributions, memory and an example of each."""
+"""Figure of `./wbc netem calibrate`: distributions, memory and an example of each scenario."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _LAGS = 600
 def draw(
     sets: Mapping[str, tuple[Sequence[DelayProfile], Sequence[DelayProfile]]], path: Path
 ) -> None:
-    """Two rows of panels for each scenario; `sets`: its ns-3 and its generated profiles.
+    """Draw two rows of panels for each scenario. `sets`: its ns-3 and its generated profiles.
 
-    `ConfigError` if the file cannot be written.
+    Raise `ConfigError` if the file cannot be written.
     """
     figure, axes = plt.subplots(2 * len(sets), 3, figsize=(14, 7.4 * len(sets)), squeeze=False)
     for k, (scenario, both) in enumerate(sets.items()):
@@ -66,13 +66,13 @@ def _draw_scenario(
 
 
 def _exceeded(axis: Any, values: Sequence[float] | np.ndarray, **line: Any) -> None:
-    """The part of the values that is larger, over the value."""
+    """Draw, over the value, the part of the values that exceeds it."""
     ordered = np.sort(np.asarray(values, dtype=float))
     if len(ordered):
         axis.step(ordered, 1.0 - np.arange(1, len(ordered) + 1) / len(ordered), **line)
 
 
 def _example(profiles: Sequence[DelayProfile]) -> np.ndarray:
-    """Downlink delays [ms] of the run in the middle, ordered by how long its delays are."""
+    """Downlink delays of the run with the median mean delay [ms]."""
     runs = sorted((delays_ms(p, "downlink") for p in profiles), key=lambda run: float(run.mean()))
     return runs[len(runs) // 2]

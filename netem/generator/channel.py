@@ -2,12 +2,12 @@
 
     SNR = P − PL(d) − SF + G + 79 dB,
 
-path loss PL and shadow fading SF of TR 38.901 Table 7.4.1-1, gain G of both antennas with its
-small-scale fading, and −79 dBm the noise of 1 GHz at a noise figure of 5 dB. Blockers decide
-whether PL and SF are those with or without a line of sight; see `blockage`. Both directions
-have the same SNR. `docs/network-model.md` says where each number is from.
+with path loss PL and shadow fading SF of TR 38.901 Table 7.4.1-1. G is the gain of both antennas
+with small-scale fading. −79 dBm is the noise of 1 GHz at a noise figure of 5 dB. Blockers decide
+whether PL and SF are those with or without a line of sight; see `blockage`. Both directions have
+the same SNR. `docs/network-model.md` has the source of each number.
 
-No antenna pattern, no interference, no reflection off the blockers.
+The model has no antenna pattern, no interference and no reflection off the blockers.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ NOISE_DBM = -79.0
 BLOCKERS = 4
 BLOCKER_SPEED = 2.0
 ROBOT_SPEED = 0.5
-# The robot walks so far and back again [m].
+# The robot walks this distance and back again [m].
 ROBOT_TRACK = 3.0
-# Small-scale fading is drawn anew so often [ms].
+# Small-scale fading is drawn again after this time [ms].
 FADING_MS = 100
-# No blocker crosses nearer to an antenna than this part of the path.
+# Every blocker crosses at least this part of the path away from either antenna.
 MARGIN = 0.1
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """What distinguishes one place from another.
+    """The parameters of one place. Lengths are in m. Ranges are (lowest, highest).
 
-    Lengths [m], ranges from lowest to highest; `heights` of access point and robot. Pairs in dB
-    are with and without a line of sight: `shadow_db` standard deviation and `shadow_distance`
-    correlation distance of shadow fading, `gain_db` mean gain. `k_factor_db` mean and standard
-    deviation of the Rician K-factor, `scatter_db` that of the gain without a line of sight.
-    `width` of a blocker, `half_track` its way from the middle of the path. `longest_ms`: the
-    longest one-way delay that the paper reports.
+    `heights`: of access point and robot. Three pairs are (with, without) a line of sight:
+    `shadow_db`, the standard deviation of shadow fading; `shadow_distance`, its correlation
+    distance; `gain_db`, the mean gain. `k_factor_db`: mean and standard deviation of the Rician
+    K-factor. `scatter_db`: standard deviation of the gain without a line of sight. `width`: range
+    of a blocker's width. `half_track`: a blocker's largest distance from the path. `longest_ms`:
+    the longest one-way delay that the paper reports.
     """
 
     name: str
@@ -98,7 +98,7 @@ SCENARIOS = {scenario.name: scenario for scenario in (FACTORY, BUILDING)}
 class RadioChannel:
     """A run of the channel, a value per millisecond: arrays (n,).
 
-    `distance` in space [m], `n_block` how many blockers cut the line.
+    `distance`: between the antennas, in space [m]. `n_block`: number of blockers that cut the line.
     """
 
     distance: np.ndarray
@@ -108,14 +108,14 @@ class RadioChannel:
 
 
 def draw_channel(scenario: Scenario, rng: np.random.Generator, milliseconds: int) -> RadioChannel:
-    """A channel of so many milliseconds: drawn are the places of robot and blockers, and fading."""
+    """Draw a channel: the places of robot and blockers, and the fading."""
     blockers = _draw_blockers(scenario, rng)
     start, heading = rng.uniform(*scenario.distance), rng.uniform(0.0, 2.0 * np.pi)
     seconds = np.arange(milliseconds) * 1e-3
     walked = ROBOT_TRACK - np.abs((ROBOT_SPEED * seconds) % (2.0 * ROBOT_TRACK) - ROBOT_TRACK)
     along, across = start + walked * np.cos(heading), walked * np.sin(heading)
     ground = np.hypot(along, across)
-    # tracks are square to the path at time 0; later it has swung with the robot
+    # The tracks are square to the path at time 0. Later the path has turned with the robot.
     offset = blockers.positions(seconds) - blockers.fraction[:, None] * across
     screen = blockers.screens(across / along)
     n_block = covers(offset, screen).sum(axis=0)
@@ -143,9 +143,10 @@ def draw_channel(scenario: Scenario, rng: np.random.Generator, milliseconds: int
 def path_loss_db(
     distance: np.ndarray, *, indoor: bool, line_of_sight: bool, robot_height: float = 1.5
 ) -> np.ndarray:
-    """TR 38.901 Table 7.4.1-1, InH-Office or UMi-StreetCanyon; `distance` in space [m].
+    """Path loss [dB] of TR 38.901 Table 7.4.1-1; `distance` in space [m].
 
-    UMi up to its breakpoint only (1.7 km at 28 GHz).
+    Indoors it is InH-Office, else UMi-StreetCanyon. UMi holds up to its breakpoint (1.7 km at
+    28 GHz).
     """
     log_d, log_f = np.log10(distance), np.log10(CARRIER_GHZ)
     free: np.ndarray = 32.4 + (17.3 if indoor else 21.0) * log_d + 20.0 * log_f
@@ -171,9 +172,10 @@ def _draw_blockers(scenario: Scenario, rng: np.random.Generator) -> Blockers:
 
 
 def _gain_db(scenario: Scenario, rng: np.random.Generator, clear: np.ndarray) -> np.ndarray:
-    """Gain of the antennas with small-scale fading, drawn anew every `FADING_MS`; (n,).
+    """Gain of the antennas with small-scale fading, drawn again every `FADING_MS`, (n,) [dB].
 
-    With a line of sight |√(K/(K+1)) + CN(0, 1/(K+1))|², K log-normal; without one normal in dB.
+    With a line of sight the fading is |√(K/(K+1)) + CN(0, 1/(K+1))|² with a log-normal K. Without
+    one it is normal in dB.
     """
     blocks = -(-len(clear) // FADING_MS)
     k = 10.0 ** (rng.normal(*scenario.k_factor_db, blocks) / 10.0)
@@ -190,10 +192,10 @@ def _gain_db(scenario: Scenario, rng: np.random.Generator, clear: np.ndarray) ->
 def _shadow_fading_db(
     scenario: Scenario, rng: np.random.Generator, clear: np.ndarray
 ) -> np.ndarray:
-    """Log-normal, drawn anew whenever the line of sight comes or goes; (n,).
+    """Log-normal shadow fading, drawn again at each change of the line of sight, (n,) [dB].
 
-    In between the robot walks and the fading follows, with correlation exp(−Δd/d_corr) after Δd:
-    TR 38.901 clause 7.4.4.
+    Between changes the fading follows the walk of the robot, with correlation exp(−Δd/d_corr) after
+    a distance Δd: TR 38.901 clause 7.4.4.
     """
     flips = np.flatnonzero(np.diff(clear)) + 1
     shadow = np.empty(len(clear))

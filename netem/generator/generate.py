@@ -1,8 +1,8 @@
-"""Seeded delay profiles of a modelled 5G link: `./wbc netem generate factory --out DIR`.
+"""Generates seeded delay profiles of a modelled 5G link: `./wbc netem generate factory --out DIR`.
 
-Channel (`channel`) → what the link can carry (`rate_adaptation`) → queue
-(`queueing`) → one-way delays, both ways from one channel. `docs/network-model.md` describes
-the model and how close it comes to the shipped ns-3 profiles.
+The steps are channel (`channel`) → capacity (`rate_adaptation`) → queue (`queueing`) → one-way
+delays. Both ways share one channel. `docs/network-model.md` describes the model and compares it
+with the shipped ns-3 profiles.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from shared.errors import ConfigError
 from shared.process.cli import EXIT_STANDING
 
 SOURCE = "generated, docs/network-model.md"
-# The load of the paper, at which a drawn channel is judged [bytes per message].
+# The load of the paper [bytes per message]. It decides whether a drawn channel is accepted.
 UPLINK_BYTES = 1_000
 DOWNLINK_BYTES = 40_000
 SECONDS = 6.0
 QUEUE_BYTES = 20 * 2**20
-# Of a message that finds the queue empty, without the time that its own bytes take: 1 ms between
-# base station and edge, the rest the radio's frames.
+# Delay of a message in an empty queue, without the time for its bytes: 1 ms between base station
+# and edge, and the rest for the radio's frames.
 BASE_NS = (1_698_000, 1_645_000)
-# Longer runs hardly ever keep to the longest delay of the paper, and would be drawn for ever.
+# Longer runs almost always exceed the longest delay of the paper, so drawing them would not end.
 MAX_SECONDS = 60.0
 MAX_COUNT = 10_000
 MAX_MESSAGE_BYTES = 10_000_000
-# After the last message, so that it can still leave the queue.
+# Time after the last message in which it can still leave the queue.
 _AFTER_MS = 1_000
 _UNITS = {"B": 1, "kB": 1_000, "MB": 1_000_000}
 
@@ -49,10 +49,10 @@ def generate_profile(
     uplink_bytes: int = UPLINK_BYTES,
     downlink_bytes: int = DOWNLINK_BYTES,
 ) -> DelayProfile:
-    """The profile of a seed; the channel does not depend on the load.
+    """The profile of a seed. The channel does not depend on the load.
 
-    A channel on which a message of the paper's load is delayed for longer than the paper reports is
-    drawn again; `draws` in the metadata counts.
+    A channel is drawn again if it delays a message of the paper's load for longer than the paper
+    reports. `draws` in the metadata counts the draws.
     """
     rng = np.random.default_rng([seed, *scenario.name.encode()])
     n = round(seconds * 1000)
@@ -119,7 +119,7 @@ def generate_set(
     uplink_bytes: int = UPLINK_BYTES,
     downlink_bytes: int = DOWNLINK_BYTES,
 ) -> Iterator[DelayProfile]:
-    """Profiles of the seeds `seed` to `seed` + `count` − 1."""
+    """Generate the profiles of the seeds `seed` to `seed` + `count` − 1."""
     for k in range(count):
         yield generate_profile(
             scenario,
@@ -131,25 +131,28 @@ def generate_set(
 
 
 def add_generate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `generate`."""
+    """Add the options of `generate`."""
     parser.add_argument("scenario", help=f"one of {', '.join(SCENARIOS)}")
-    parser.add_argument("--count", type=int, default=100, help="how many profiles")
-    parser.add_argument("--seed", type=int, default=0, help="of the first; the next has the next")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="of each")
+    parser.add_argument("--count", type=int, default=100, help="number of profiles")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the first; the next adds 1")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="duration of each")
     parser.add_argument("--out", type=Path, default=Path("generated"), metavar="DIR")
     parser.add_argument(
         "--uplink",
         default=f"{UPLINK_BYTES}B",
         metavar="1000B",
-        help="payload of a message up, 1000 of them per second",
+        help="payload of a message up, at 1000 messages per second",
     )
     parser.add_argument(
-        "--downlink", default=f"{DOWNLINK_BYTES}B", metavar="40000B", help="and down; 40kB is fine"
+        "--downlink",
+        default=f"{DOWNLINK_BYTES}B",
+        metavar="40000B",
+        help="payload of a message down",
     )
 
 
 def run_generate(arguments: argparse.Namespace) -> int:
-    """Write `DIR/factory-0000.npz` and so on; 0."""
+    """Write `DIR/factory-0000.npz` and so on. Return 0."""
     scenario = scenario_named(arguments.scenario)
     check_set(arguments.count, arguments.seed)
     if not 0.1 <= arguments.seconds <= MAX_SECONDS:
@@ -187,14 +190,14 @@ def run_generate(arguments: argparse.Namespace) -> int:
 
 
 def scenario_named(name: str) -> Scenario:
-    """The scenario of that name; `ConfigError` naming those there are."""
+    """The scenario of a name; `ConfigError` with the valid names for an unknown name."""
     if name not in SCENARIOS:
         raise ConfigError(f"scenario: expected one of {', '.join(SCENARIOS)}, got {name!r}")
     return SCENARIOS[name]
 
 
 def check_set(count: int, seed: int) -> None:
-    """`ConfigError` for a number of profiles or a seed that cannot be."""
+    """Raise `ConfigError` for an invalid number of profiles or seed."""
     if not 1 <= count <= MAX_COUNT:
         raise ConfigError(f"count: expected from 1 to {MAX_COUNT} profiles, got {count}")
     if seed < 0:
@@ -202,7 +205,7 @@ def check_set(count: int, seed: int) -> None:
 
 
 def parse_bytes(name: str, text: str) -> int:
-    """`1000B`, `40kB` or `1000` → bytes."""
+    """Parse `1000B`, `40kB` or `1000` to bytes."""
     match = re.fullmatch(r"([0-9]+)(B|kB|MB)?", text.strip())
     size = int(match[1]) * _UNITS[match[2] or "B"] if match else 0
     if not 1 <= size <= MAX_MESSAGE_BYTES:

@@ -1,13 +1,14 @@
-"""From SNR to bytes: what the link can carry in each millisecond, each way.
+"""Capacity of the link from its SNR: the bytes that it can carry in each millisecond, each way.
 
-Rate. Spectral efficiency η of TS 38.214 Table 5.1.3.1-1, the highest that is decoded at a bit error
-rate of 5·10⁻⁵: η ≤ log₂(1 + SNR/Γ), Γ = −ln(5 BER)/1.5.
+Rate. The spectral efficiency η is the highest of TS 38.214 Table 5.1.3.1-1 that is decoded at a bit
+error rate of 5·10⁻⁵: η ≤ log₂(1 + SNR/Γ), Γ = −ln(5 BER)/1.5.
 
-Adaptation. The sender learns of a worse channel by failing: what is on its way is lost, and nothing
-passes until a round of HARQ has come back or the next rate is agreed. Below `_USABLE_DB` only a
-probe is sent every `_PROBE_MS`; the first that finds a usable channel ends the silence, so an
-outage outlasts its cause by up to 19 ms. Above `_PROBED_DB` probes carry some bytes. The first of
-them wait until the message at the head of the queue has come again, for the receiver keeps order.
+Adaptation. The sender learns of a worse channel from failures. The data under way are lost, and no
+data pass until a round of HARQ has come back or the next rate is agreed. Below `_USABLE_DB` the
+sender sends only a probe every `_PROBE_MS`. The first probe on a usable channel ends the silence,
+so an outage outlasts its cause by up to 19 ms. Above `_PROBED_DB` probes carry some bytes. The
+receiver keeps order, so the first probes wait until the message at the head of the queue has been
+sent again.
 
 The numbers are fitted to the shipped ns-3 profiles; `docs/network-model.md` says how.
 """
@@ -27,23 +28,24 @@ SPECTRAL_EFFICIENCY = np.array(
 SNR_GAP = -np.log(5 * 5e-5) / 1.5
 # Bytes per millisecond and bit/s/Hz: 125 kB at 1 GHz, less reference signals and control.
 _BYTES_PER_EFFICIENCY = 92_000.0
-# On the air per byte of payload: headers of IP, UDP, PDCP and RLC around each fragment.
+# Bytes on the air per byte of payload: headers of IP, UDP, PDCP and RLC around each fragment.
 _OVERHEAD = 1.035
 _UPLINK_SHARE = 0.5
 
 _USABLE_DB = 0.7
 _PROBED_DB = -7.0
-# Below it a fall costs the time until the next rate is agreed, below `_ROBUST_DB` a round of HARQ.
+# A fall of the SNR below `_FRAGILE_DB` costs the time until the next rate is agreed. A fall below
+# `_ROBUST_DB` costs a round of HARQ.
 _FRAGILE_DB = 5.5
 _ROBUST_DB = 16.0
-# A fall by less is within the margin of the rate in use.
+# A smaller fall of the SNR is within the margin of the rate in use.
 _STEP_DB = 3.0
 _HARQ_MS = 1.0
 _AGREED_MS = 4.0
-# The downlink, with forty times the bytes on their way, needs so much longer.
+# The downlink has forty times the bytes under way, and needs this much longer.
 _AGREED_LATER_MS = (1.5, 5.0)
-# Below it a block is lost beyond HARQ now and then and comes again after so long; in the downlink,
-# of larger blocks, below `_FRAGILE_DB` too, and sooner.
+# Below `_MARGINAL_DB` HARQ loses a block now and then, which is sent again after `_STALL_MS`. The
+# downlink has larger blocks: it also loses them below `_FRAGILE_DB`, and sends them again sooner.
 _MARGINAL_DB = 2.0
 _STALLS_PER_MS = 0.02
 _STALL_MS = 12.0
@@ -52,20 +54,20 @@ _DOWNLINK_STALL_MS = 3.5
 
 _PROBE_MS = 13.0
 _PROBE_BYTES = 8_200.0
-# The first probe that gets the head of the queue through, if the channel is bad throughout.
+# The number of the first probe that delivers the head of the queue while the channel stays bad.
 _HEAD_PROBE = 3
-# A sender of a rate for less SNR than this loses no head: its first probe is decoded.
+# A sender with a rate for a lower SNR than this loses no head: its first probe is decoded.
 _LOW_RATE_DB = 10.0
 _RELEASE_MS = (0.5, 2.5)
-# More if the probe before was not heard either: the robot has to ask for leave to send first.
+# Additional time if the probe before was not received: the robot must first request to send.
 _UNHEARD_MS = 3.0
-# The downlink starts later: part of what waits has to come again before its first message is whole.
+# The downlink starts later: part of the queue is sent again before its first message is complete.
 _RELEASE_LATER_MS = (0.0, 4.0)
 _COMES_AGAIN = 0.04
 
 
 def payload_per_ms(snr_db: np.ndarray) -> np.ndarray:
-    """Payload of the downlink at an SNR that its rate has followed, (n,) [bytes per ms]."""
+    """Payload of the downlink with a rate that matches the SNR, (n,) [bytes per ms]."""
     reached = np.log2(1.0 + 10.0 ** (np.asarray(snr_db) / 10.0) / SNR_GAP)
     mcs = np.searchsorted(SPECTRAL_EFFICIENCY, reached, side="right") - 1
     payload = _BYTES_PER_EFFICIENCY / _OVERHEAD * SPECTRAL_EFFICIENCY[np.maximum(mcs, 0)]
@@ -76,8 +78,8 @@ def capacity_per_ms(snr_db: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Payload that the link can carry in each millisecond, uplink and downlink, (2, n) [bytes]."""
     payload = payload_per_ms(snr_db).tolist()
     capacity = np.zeros((2, len(payload)))
-    rate_db = float(snr_db[0])  # what the sender takes the SNR for
-    resume, later = 0.0, 0.0  # when either way carries again
+    rate_db = float(snr_db[0])  # the SNR that the sender assumes
+    resume, later = 0.0, 0.0  # the times at which uplink and downlink carry data again
     silent_since, probes, heard = -1, 0, True
     for t, snr in enumerate(snr_db.tolist()):
         if silent_since < 0 and snr < _USABLE_DB:
@@ -112,10 +114,10 @@ def capacity_per_ms(snr_db: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _probed(snr_db: float, probes: int, *, low_rate: bool) -> float:
-    """Payload that a probe carries through [bytes]."""
+    """The payload that a probe delivers [bytes]."""
     if snr_db < _PROBED_DB:
         return 0.0
     if low_rate or probes > _HEAD_PROBE:
         return _PROBE_BYTES / _OVERHEAD
-    # until the head of the queue has come, what else was received is not handed on
+    # The receiver holds back later data until the head of the queue has come.
     return _HEAD_PROBE * _PROBE_BYTES / _OVERHEAD if probes == _HEAD_PROBE else 0.0

@@ -1,20 +1,21 @@
-"""How far another machine's clock is ahead of ours, from messages both ways.
+"""Lead of the far machine's clock over the near machine's, from messages both ways.
 
-A message up leaves at s by the near clock and arrives at x by the far one; a message down leaves at
+A message up leaves at s by the near clock and arrives at x by the far one. A message down leaves at
 x by the far clock and arrives at r by the near one. With θ(x) the lead of the far clock,
 
     x − s = θ(x) + delay up          x − r = θ(x) − delay down
 
 so θ lies below every x − s and above every x − r (the four time stamps of NTP, RFC 5905). Clocks
-drift: of all lines θ = a + b x between the two clouds, the one farthest from both is taken,
+drift, so θ is a line a + b x between the two clouds. The estimate is the line farthest from both,
 
     f(b) = ½ [ min (x − s − b x) + min (r − x + b x) ]  →  max
 
-f is half the least round trip, and the uncertainty: how it divides into up and down no clock of one
-end can tell. Halves are assumed; a path of unequal least delays makes one way look up to f slower
-and the other as much faster. f is concave and piecewise linear, and its corners are slopes of the
-clouds' convex hulls (Zhang, Liu, Xia, "Clock synchronization algorithms for network measurements",
-INFOCOM 2002), so that trying those is exact.
+f is half the least round trip. It is also the uncertainty, because the clocks of the ends cannot
+tell how the round trip divides into up and down. The estimate assumes halves. On a path with
+unequal least delays one way then looks up to f slower, and the other up to f faster.
+
+f is concave and piecewise linear. Its corners are slopes of the clouds' convex hulls, so trying
+these slopes is exact (Zhang, Liu, Xia, INFOCOM 2002, on clocks in network measurements).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import TypeAlias
 import numpy as np
 
 NEVER = -1
-# A kernel slews a clock by no more (`adjtimex`), and no quartz is that far off.
+# A kernel slews a clock by at most this (`adjtimex`), and every quartz is more accurate.
 MAX_DRIFT = 500e-6
 
 Hull: TypeAlias = list[tuple[int, int]]
@@ -33,8 +34,10 @@ Hull: TypeAlias = list[tuple[int, int]]
 
 @dataclass(frozen=True)
 class Stamps:
-    """Messages of one way in the order of sending: `sent_ns` by the sender's clock, `received_ns`
-    by the receiver's, both (n,) int64; `NEVER` where it is not known.
+    """Time stamps of the messages of one way, in the order of sending, (n,) int64.
+
+    `sent_ns` is by the sender's clock, `received_ns` by the receiver's. `NEVER` stands for an
+    unknown time.
     """
 
     sent_ns: np.ndarray
@@ -42,7 +45,7 @@ class Stamps:
 
     @property
     def arrived(self) -> Stamps:
-        """Those that were received."""
+        """The stamps of the messages that were received."""
         mask = self.received_ns != NEVER
         return Stamps(self.sent_ns[mask], self.received_ns[mask])
 
@@ -51,7 +54,7 @@ class Stamps:
 class ClockOffset:
     """Lead of the far clock: `offset_ns` when it shows `reference_ns`, growing by `drift_ppm`.
 
-    `uncertainty_ns` is None where nothing but the machines' own synchronisation bounds it.
+    `uncertainty_ns` is None if the machines synchronise their clocks: their accuracy is the bound.
     """
 
     offset_ns: int
@@ -61,18 +64,21 @@ class ClockOffset:
     method: str
 
     def to_near(self, far_ns: np.ndarray) -> np.ndarray:
-        """The near clock when the far one shows `far_ns`, int64."""
+        """The time on the near clock when the far clock shows `far_ns`, int64 [ns]."""
         drift_ns = np.rint(1e-6 * self.drift_ppm * (far_ns - self.reference_ns)).astype(np.int64)
         return far_ns - self.offset_ns - drift_ns
 
 
 def one_clock(reference_ns: int) -> ClockOffset:
-    """Both ends read the clock of one machine."""
+    """The offset if both ends read the clock of one machine: 0."""
     return ClockOffset(0, 0, 0.0, reference_ns, "one clock: both ends on one machine")
 
 
 def synchronised(up: Stamps, down: Stamps) -> ClockOffset | None:
-    """Both machines keep one time (PTP, GNSS); None if a message arrived before it was sent."""
+    """The offset if both machines keep one time (PTP, GNSS): 0.
+
+    None if a message arrived before it was sent.
+    """
     up, down = up.arrived, down.arrived
     if min(np.min(up.received_ns - up.sent_ns), np.min(down.received_ns - down.sent_ns)) < 0:
         return None
@@ -80,7 +86,7 @@ def synchronised(up: Stamps, down: Stamps) -> ClockOffset | None:
 
 
 def equal_least_delays(up: Stamps, down: Stamps) -> ClockOffset:
-    """The line of the module's equation; at least one message of each way must have arrived."""
+    """The offset by the module's equation. At least one message of each way must have arrived."""
     up, down = up.arrived, down.arrived
     reference_ns = int(up.received_ns[0])
     lead_ns = int(up.received_ns[0] - up.sent_ns[0])
@@ -88,7 +94,7 @@ def equal_least_delays(up: Stamps, down: Stamps) -> ClockOffset:
         up.received_ns - reference_ns,
         up.received_ns - up.sent_ns - lead_ns,
     )
-    # The negative of the lower cloud, whose upper hull is sought.
+    # The upper hull of the lower cloud is the lower hull of its negative.
     below = _lower_hull(
         down.sent_ns - reference_ns,
         down.received_ns - down.sent_ns + lead_ns,
@@ -98,7 +104,7 @@ def equal_least_delays(up: Stamps, down: Stamps) -> ClockOffset:
     to_above = _least_after_drift(above, slopes)
     to_below = _least_after_drift(below, -slopes)
     margins = to_above + to_below
-    # Where many slopes are as good, to the nanosecond, the slowest drift.
+    # Among slopes that are equally good to the nanosecond, take the slowest drift.
     good = np.flatnonzero(margins >= margins.max() - 1.0)
     best = good[np.argmin(np.abs(slopes[good]))]
     return ClockOffset(
@@ -111,7 +117,7 @@ def equal_least_delays(up: Stamps, down: Stamps) -> ClockOffset:
 
 
 def _lower_hull(x_ns: np.ndarray, y_ns: np.ndarray) -> Hull:
-    """Corners from left to right, in exact integers (Andrew's monotone chain)."""
+    """Corners of the lower hull from left to right, in exact integers (Andrew's monotone chain)."""
     order = np.lexsort((y_ns, x_ns))
     hull: Hull = []
     for x, y in zip(x_ns[order].tolist(), y_ns[order].tolist(), strict=True):
@@ -132,7 +138,7 @@ def _edge_slopes(hull: Hull) -> np.ndarray:
 
 
 def _least_after_drift(hull: Hull, slopes: np.ndarray) -> np.ndarray:
-    """min (y − b x) over the corners, for each slope b, (n_slopes,) [ns]."""
+    """The minimum of y − b x over the corners, for each slope b, (n_slopes,) [ns]."""
     x, y = np.array(hull, dtype=float).T
     least: np.ndarray = np.min(y[None, :] - slopes[:, None] * x[None, :], axis=1)
     return least

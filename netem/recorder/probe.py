@@ -1,8 +1,9 @@
-"""The recorder's messages: a fixed head, reports, and padding to the size of the stack's own.
+"""The recorder's messages: a fixed head, reports, and padding to the size of a stack's messages.
 
-Up and down have one number each per message sent, the sender's clock, and what the other end has to
-know: up, how the far end shall send and how many reports have come home; down, reports of messages
-up with the time they arrived. Little-endian; `docs/recording.md` has the fields.
+Every message has a sequence number of its direction and the time of sending. A message up also has
+the settings for the far end and the number of reports that have arrived. A message down has
+reports: numbers of messages up with their times of arrival. The numbers are little-endian.
+`docs/recording.md` has the fields.
 """
 
 from __future__ import annotations
@@ -29,18 +30,18 @@ _REPORT = struct.Struct("<Iq")
 REPORTS = np.dtype([("sequence", "<u4"), ("received_ns", "<i8")])
 HEAD_BYTES = max(_UP.size, _DOWN.size)
 MAX_REPORTS = 256
-# All of a message down that says anything.
+# The part of a message down before its padding.
 DOWN_BYTES_READ = HEAD_BYTES + MAX_REPORTS * REPORTS.itemsize
-# A downlink message that holds fewer reports may not bring them home as fast as they arise.
+# Messages down with room for fewer reports could fall behind the messages up.
 MIN_BYTES = HEAD_BYTES + 4 * REPORTS.itemsize
 
-# Not compressible, should some part of the path try.
+# Random bytes, which no part of the path can compress.
 _PADDING = memoryview(np.random.default_rng(0).bytes(MAX_BYTES))
 
 
 @dataclass(frozen=True)
 class ProbeSettings:
-    """How both ends send. `synchronised`: stamps are the time of day, which both machines share."""
+    """Period and sizes of the messages. `synchronised`: both machines share the time of day."""
 
     period_ns: int
     uplink_bytes: int
@@ -60,13 +61,13 @@ class Instant:
         return Instant(time.monotonic_ns(), time.time_ns())
 
     def stamp_ns(self, settings: ProbeSettings) -> int:
-        """On the clock that the recording uses."""
+        """The time on the clock that the recording uses [ns]."""
         return self.realtime_ns if settings.synchronised else self.monotonic_ns
 
 
 @dataclass(frozen=True, slots=True)
 class UpProbe:
-    """Near to far. `draining`: the measurement is over, only reports are still wanted."""
+    """A message up. `draining`: the measurement is over, and the near end waits for reports."""
 
     session: int
     sequence: int
@@ -78,9 +79,10 @@ class UpProbe:
 
 @dataclass(frozen=True, slots=True)
 class DownProbe:
-    """Far to near, for the recording `session`. `reports` are packed `REPORTS`, at most
-    `MAX_REPORTS`, from number `first_report` on, in the order of arrival. When `draining`,
-    `sequence` is how many messages were sent.
+    """A message down of the recording `session`.
+
+    `reports` are packed `REPORTS`, at most `MAX_REPORTS`, from number `first_report` on, in the
+    order of arrival. When `draining`, `sequence` is the number of messages that were sent.
     """
 
     session: int
@@ -92,7 +94,7 @@ class DownProbe:
 
 
 def encode_up(probe: UpProbe, *, size: int) -> bytes:
-    """At least `size` bytes."""
+    """Encode a message up, padded to `size` bytes or longer."""
     settings = probe.settings
     head = _UP.pack(
         *(_UP_MAGIC, VERSION, probe.draining, probe.session, probe.sequence, probe.sent_ns),
@@ -102,7 +104,7 @@ def encode_up(probe: UpProbe, *, size: int) -> bytes:
 
 
 def decode_up(data: bytes) -> UpProbe:
-    """`MessageRefused` with the name of the check that failed."""
+    """Decode a message up; `MessageRefused` with the name of the check that failed."""
     _check_opening(data, _UP_MAGIC, _UP.size)
     _, _, draining, session, sequence, sent_ns, acknowledged, period_ns, downlink, clock = (
         _UP.unpack_from(data)
@@ -114,7 +116,7 @@ def decode_up(data: bytes) -> UpProbe:
 
 
 def encode_down(probe: DownProbe, *, size: int) -> bytes:
-    """At least `size` bytes."""
+    """Encode a message down, padded to `size` bytes or longer."""
     head = _DOWN.pack(
         *(_DOWN_MAGIC, VERSION, probe.draining, probe.session, probe.sequence, probe.sent_ns),
         *(probe.first_report, len(probe.reports) // REPORTS.itemsize),
@@ -124,7 +126,7 @@ def encode_down(probe: DownProbe, *, size: int) -> bytes:
 
 
 def decode_down(data: bytes) -> DownProbe:
-    """`MessageRefused` with the name of the check that failed."""
+    """Decode a message down; `MessageRefused` with the name of the check that failed."""
     _check_opening(data, _DOWN_MAGIC, _DOWN.size)
     _, _, draining, session, sequence, sent_ns, first, count = _DOWN.unpack_from(data)
     end = _DOWN.size + count * REPORTS.itemsize
@@ -135,17 +137,17 @@ def decode_down(data: bytes) -> DownProbe:
 
 
 def pack_report(sequence: int, received_ns: int) -> bytes:
-    """One of `REPORTS`: message up number `sequence` arrived then."""
+    """Pack one of `REPORTS`: the message up `sequence` arrived at `received_ns`."""
     return _REPORT.pack(sequence, received_ns)
 
 
 def version_notice() -> bytes:
-    """What a far end answers to a recorder of another version; the opening never changes."""
+    """The far end's answer to a recorder of another version; the opening never changes."""
     return _OPENING.pack(_DOWN_MAGIC, VERSION)
 
 
 def parse_bytes(text: str, *, option: str) -> int:
-    """`1000B`, `40kB` or `40000` → bytes."""
+    """Parse `1000B`, `40kB` or `40000` to bytes."""
     match = re.fullmatch(r"([0-9]+)\s*(k?)B?", text.strip())
     size = -1 if match is None else int(match[1]) * (1000 if match[2] else 1)
     if not MIN_BYTES <= size <= MAX_BYTES:

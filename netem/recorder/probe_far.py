@@ -1,6 +1,7 @@
-"""The far end of a recording, without bus, clock or thread: it sends as it is told, and reports.
+"""The far end of a recording, without bus, clock or thread.
 
-See `netem.recorder.probe_near` for the whole.
+It sends with the settings of the near end, and reports the messages that arrive. See
+`netem.recorder.probe_near` for the protocol.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from shared.errors import MessageRefused
 
 # Reports that wait for an acknowledgement: a quarter of an hour at 1 kHz, 12 MB.
 _MAX_WAITING = 1_000_000
-# It goes on sending so long without hearing anything: longer than any outage of interest.
+# The far end stops sending after this silence, which is longer than any outage of interest.
 _PATIENCE_NS = 60_000_000_000
-# After so much silence another recorder may take over, and a draining one has left.
+# After this silence another recorder may take over, and a draining near end counts as gone.
 _SILENCE_NS = 2_000_000_000
 
 
 class FarRecording:
-    """One recording, from the first message of its near end on."""
+    """One recording, which begins with the first message of its near end."""
 
     def __init__(self, first: UpProbe) -> None:
         self.session = first.session
@@ -38,13 +39,13 @@ class FarRecording:
         self.unreported = 0
         self.draining = False
         self.heard_ns = 0
-        # Packed, from number `_first` on; `_next` is the first that the next message carries.
+        # Packed reports. The first has the number `_first`. The next message begins with `_next`.
         self._reports = bytearray()
         self._first = 0
         self._next = 0
 
     def take(self, probe: UpProbe, now: Instant) -> None:
-        """A message of this recording."""
+        """Take a message of this recording."""
         self.heard_ns = now.monotonic_ns
         if probe.draining:
             self.draining = True
@@ -59,13 +60,13 @@ class FarRecording:
             self._first = probe.acknowledged
 
     def message(self, now: Instant) -> bytes:
-        """What to send now."""
+        """The message to send now."""
         size = HEAD_BYTES if self.draining else self.settings.downlink_bytes
         room = MAX_REPORTS
         if not self.draining:
             room = min(room, (size - HEAD_BYTES) // REPORTS.itemsize)
         end = self._first + len(self._reports) // REPORTS.itemsize
-        # On from where the last message stopped; at the end, again all that is unacknowledged.
+        # Continue after the last message. At the end, repeat all unacknowledged reports.
         first = self._next if self._first <= self._next < end else self._first
         self._next = min(end, first + room)
         begin, stop = ((number - self._first) * REPORTS.itemsize for number in (first, self._next))
@@ -81,26 +82,26 @@ class FarRecording:
         return encode_down(probe, size=size)
 
     def over(self, now: Instant) -> bool:
-        """Whether the near end has left."""
+        """Return whether the near end counts as gone."""
         return self.silence_ns(now) > (_SILENCE_NS if self.draining else _PATIENCE_NS)
 
     def silence_ns(self, now: Instant) -> int:
-        """Time since the near end was heard."""
+        """The time since the last message of the near end [ns]."""
         return now.monotonic_ns - self.heard_ns
 
 
 class FarEnd:
-    """Takes part in one recording at a time."""
+    """The far end, which serves one recording at a time."""
 
     def __init__(self) -> None:
         self.recording: FarRecording | None = None
         self.refused = RefusalCounter()
-        # A recorder of another version has asked and not been told.
+        # A recorder of another version waits for the notice of our version.
         self.owes_version = False
         self._ended = -1
 
     def take(self, data: bytes, now: Instant) -> None:
-        """An arrival."""
+        """Take an arriving message."""
         try:
             probe = decode_up(data)
             if self.recording is None or probe.session != self.recording.session:
@@ -113,7 +114,7 @@ class FarEnd:
         self.recording.take(probe, now)
 
     def end(self) -> FarRecording | None:
-        """Leave the recording under way; returns it."""
+        """End the present recording. Return it."""
         recording, self.recording = self.recording, None
         if recording is not None:
             self._ended = recording.session

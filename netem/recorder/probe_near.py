@@ -1,9 +1,9 @@
-"""The near end of a recording, without bus, clock or thread: what it sends and remembers.
+"""The near end of a recording, without bus, clock or thread.
 
-Both ends send on schedules of their own, whatever arrives, so that each way is sampled evenly. The
-near end knows what it sends and receives; what the far end has received comes home as reports in
-the messages down, again and again until acknowledged. After the measurement both go on with small
-messages (*draining*) until nothing is missing.
+Each end sends on a schedule that does not depend on arrivals, so that each way is sampled evenly.
+The near end records the messages that it sends and receives. The far end reports its arrivals in
+the messages down, and repeats each report until it is acknowledged. After the measurement both ends
+exchange small messages (*draining*) until nothing is missing.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from netem.recorder.probe import (
 from shared.bus.base import RefusalCounter
 from shared.errors import MessageRefused
 
-# More than any difference of two clocks.
+# Larger than any difference of two clocks.
 _NONE_NS = 2**62
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Newest delays [ns], by the least delays so far, and losses so far."""
+    """Newest delays [ns], with clocks aligned by the least delays so far, and losses so far."""
 
     uplink_ns: int
     downlink_ns: int
@@ -40,7 +40,7 @@ class Progress:
 
 
 class NearEnd:
-    """The end that writes the profile. At most `capacity` messages each way are remembered."""
+    """The end that writes the profile. It stores at most `capacity` messages each way."""
 
     def __init__(self, settings: ProbeSettings, *, session: int, capacity: int) -> None:
         self.settings = settings
@@ -49,7 +49,7 @@ class NearEnd:
         self.one_clock = False
         self.refused = RefusalCounter()
         self.other_version = ""
-        # When the last stamp came home that was not known before, on the monotonic clock.
+        # Time of the last new stamp, on the monotonic clock.
         self.last_news_ns = 0
         self._up = np.full((2, capacity), NEVER, dtype=np.int64)
         self._down = np.full((2, capacity), NEVER, dtype=np.int64)
@@ -60,28 +60,28 @@ class NearEnd:
         self._received = 0
         self._received_end = 0
         self._far_sent: int | None = None
-        # Newest and least difference of stamps each way, delay plus or minus the clocks' offset,
-        # and when it was looked at: the least one is forgotten as fast as clocks may drift.
+        # Newest and least difference of stamps each way (delay plus or minus the clocks' offset),
+        # and the time of the last one. The least difference grows as fast as clocks may drift.
         self._newest, self._least = [0, 0], [_NONE_NS, _NONE_NS]
         self._noted_ns = [0, 0]
 
     @property
     def answered(self) -> bool:
-        """Whether messages have passed both ways."""
+        """Return whether messages have passed both ways."""
         return self._reported > 0
 
     @property
     def drained(self) -> bool:
-        """Whether the far end has answered that it knows the measurement to be over."""
+        """Return whether the far end has confirmed the end of the measurement."""
         return self._far_sent is not None
 
     @property
     def complete(self) -> bool:
-        """Whether every message ever sent has arrived, both ways, and the near end knows it."""
+        """Return whether the near end knows that every message arrived, both ways."""
         return self._reported == self._sent and self._received == self._far_sent
 
     def message(self, now: Instant) -> bytes:
-        """What to send now."""
+        """The message to send now."""
         sent_ns = now.stamp_ns(self.settings)
         sequence = self._sent
         if not self.draining:
@@ -93,7 +93,7 @@ class NearEnd:
         return encode_up(probe, size=0 if self.draining else self.settings.uplink_bytes)
 
     def take(self, data: bytes, now: Instant, *, one_clock: bool) -> None:
-        """An arrival; `one_clock`: its sender reads this machine's clock."""
+        """Take an arriving message; `one_clock`: its sender reads this machine's clock."""
         try:
             probe = decode_down(data)
         except MessageRefused as refusal:
@@ -128,7 +128,7 @@ class NearEnd:
     def _take_reports(self, probe: DownProbe, now: Instant) -> None:
         reports = np.frombuffer(probe.reports, REPORTS)
         end = probe.first_report + len(reports)
-        # Most are repeated until they are acknowledged: those are known.
+        # Reports are repeated until they are acknowledged. The acknowledged ones are known.
         reports = reports[max(0, self._acknowledged - probe.first_report) :]
         sent_ns, received_ns = self._up
         for sequence, stamp_ns in reports.tolist():
@@ -153,7 +153,7 @@ class NearEnd:
 
     @property
     def progress(self) -> Progress:
-        """For whoever watches."""
+        """The delays and losses so far, for the status line."""
         offset_ns = 0
         if not self.one_clock and not self.settings.synchronised:
             offset_ns = (self._least[0] - self._least[1]) // 2
@@ -165,7 +165,7 @@ class NearEnd:
         )
 
     def stamps(self) -> tuple[Stamps, Stamps]:
-        """Up and down, all that is known."""
+        """All known stamps, up and down."""
         far_sent = self._received_end if self._far_sent is None else self._far_sent
         end = max(far_sent, self._received_end)
         up, down = self._up[:, : self._sent], self._down[:, :end]

@@ -1,8 +1,9 @@
 """Measures a real path as a profile: `./wbc netem record`, one end on either machine.
 
-The two ends stand in for robot and edge: the same keys, rate, sizes and quality of service, so
-whatever carries the stack carries them too. `probe_near` and `probe_far` hold what the ends send
-and remember, `record_loops` the schedule, `clock_offset` and `recording` what becomes of it.
+The two ends stand in for robot and edge: with the same keys, rate, sizes and quality of service. A
+path that carries the stack therefore carries their messages too. `probe_near` and `probe_far` have
+the protocol of the ends, `record_loops` the schedule, `clock_offset` and `recording` the
+evaluation.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from shared.wire.channels import DOWNLINK, UPLINK
 _PRIORITY = 30
 _MAX_SECONDS = 3600.0
 _CLOCKS = ("own", "synchronised")
-# Options of the near end and what they are unless given.
+# Options of the near end, with their defaults.
 _NEAR_DEFAULTS = {
     "seconds": 60.0,
     "out": None,
@@ -51,10 +52,10 @@ _NEAR_DEFAULTS = {
 
 
 def add_record_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `record`."""
+    """Add the options of `record`."""
     end = parser.add_mutually_exclusive_group(required=True)
     end.add_argument(
-        "--listen", metavar="ENDPOINT", help="be the far end, as tcp/0.0.0.0:7460, until Ctrl-C"
+        "--listen", metavar="ENDPOINT", help="be the far end until Ctrl-C: tcp/0.0.0.0:7460"
     )
     end.add_argument(
         "--connect", metavar="ENDPOINT", help="be the near end, which measures and writes the file"
@@ -62,25 +63,25 @@ def add_record_arguments(parser: argparse.ArgumentParser) -> None:
     add_identity_arguments(parser)
     near = parser.add_argument_group("the near end")
     near.add_argument("--out", metavar="FILE", type=Path, help="profile to write, .npz or .csv")
-    near.add_argument("--seconds", type=float, help="how long (default 60); Ctrl-C ends earlier")
+    near.add_argument("--seconds", type=float, help="duration (default 60); Ctrl-C ends it early")
     near.add_argument("--rate", type=float, help="messages per second each way (default 1000)")
-    near.add_argument("--uplink", metavar="SIZE", help="of a message up (default 1000B)")
-    near.add_argument("--downlink", metavar="SIZE", help="of a message down (default 40000B)")
+    near.add_argument("--uplink", metavar="SIZE", help="size of a message up (default 1000B)")
+    near.add_argument("--downlink", metavar="SIZE", help="size of a message down (default 40000B)")
     near.add_argument(
         "--clock",
         choices=_CLOCKS,
-        help="own: each machine's own, their offset estimated (default); synchronised: the time of "
-        "day, which PTP or GNSS keeps equal on both machines",
+        help="own: two clocks, whose offset is estimated (default); synchronised: the time of day, "
+        "which PTP or GNSS keeps equal on both machines",
     )
 
 
 def run_record(arguments: argparse.Namespace) -> int:
-    """Be one end of a recording; 0."""
+    """Run one end of a recording. Return 0."""
     if arguments.listen is None:
         return _run_near(arguments)
     for name in _NEAR_DEFAULTS:
         if getattr(arguments, name) is not None:
-            raise ConfigError(f"{name}: the near end says it, beside --connect; not --listen")
+            raise ConfigError(f"{name}: expected beside --connect, got it beside --listen; omit it")
     return _run_far(arguments)
 
 
@@ -138,8 +139,8 @@ def _reconstruct(
         say(f"warning: {warning}")
     if not near.drained:
         say(
-            "warning: the far end was not heard after the measurement: of the last messages up, "
-            "those it had not reported count as lost"
+            "warning: no message of the far end arrived after the measurement; the last messages "
+            "up without a report count as lost"
         )
     return reconstruct(
         up,
@@ -184,7 +185,7 @@ def _dial(endpoint: str, credentials: Credentials | None, stopping: Callable[[],
             endpoint, within=CONNECT_SECONDS, credentials=credentials, stopping=stopping
         )
     except LinkError as error:
-        raise LinkError(f"{error}; the far end of a recording is started by: {START_FAR}") from None
+        raise LinkError(f"{error}; start the far end of a recording by: {START_FAR}") from None
 
 
 def _settings(arguments: argparse.Namespace) -> ProbeSettings:
@@ -195,7 +196,7 @@ def _settings(arguments: argparse.Namespace) -> ProbeSettings:
             f"{arguments.rate:g}"
         )
     return ProbeSettings(
-        # A file tells the period in µs.
+        # A file has the period in whole µs.
         period_ns=round(1e6 / arguments.rate) * 1000,
         uplink_bytes=parse_bytes(arguments.uplink, option="uplink"),
         downlink_bytes=parse_bytes(arguments.downlink, option="downlink"),
@@ -204,9 +205,9 @@ def _settings(arguments: argparse.Namespace) -> ProbeSettings:
 
 
 def _writable(out: Path | None) -> Path:
-    """The file to write, tried before anything is measured."""
+    """The file to write; `ConfigError`, before the measurement, if it cannot be written."""
     if out is None:
-        raise ConfigError("out: expected the profile to write, as in --out mylink.npz")
+        raise ConfigError("out: expected a file for the profile, got none; try --out mylink.npz")
     if out.suffix not in (".npz", ".csv"):
         raise ConfigError(f"out: expected a name that ends in .npz or .csv, got {out}")
     trial = out.with_name(out.name + ".part")

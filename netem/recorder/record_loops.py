@@ -1,8 +1,8 @@
-"""The ends of a recording against the wall clock: an absolute schedule of sending.
+"""Loops of the two ends of a recording, which send on an absolute schedule.
 
-A loop that wakes late skips what it has slept through: messages sent in a burst would queue behind
-one another and measure themselves. The bus's thread only stamps what arrives, as it sends as well;
-the loop reads it in what is left of a period.
+A loop that wakes late skips the messages that it has missed. Sent in a burst, they would queue
+behind one another and measure that queue. The bus's thread also sends, so on arrival it only stamps
+a message. The loop reads the message in the rest of a period.
 """
 
 from __future__ import annotations
@@ -23,21 +23,22 @@ from shared.errors import LinkError
 
 START_FAR = "./wbc netem record --listen tcp/0.0.0.0:7460"
 CONNECT_SECONDS = 10.0
-# Both streams run before anything counts: connections and windows have opened by then.
+# Both streams run for this time before the measurement, so that connections and windows are open.
 SETTLE_SECONDS = 0.2
-# What has not come home so long after the measurement is lost, or after so long without news.
+# A message without a report counts as lost this long after the measurement, or after `_QUIET_NS`
+# without a new stamp.
 DRAIN_SECONDS = 10.0
 _QUIET_NS = 3_000_000_000
 _DRAIN_PERIOD_NS = 10_000_000
 _IDLE_SECONDS = 0.05
-# Seconds of backlog at 1 kHz: no loop that runs at all is as late.
+# Eight seconds of backlog at 1 kHz, more than any running loop is late.
 _MAX_ARRIVALS = 8192
-# An end of a period that is left free, for the next sending to be in time.
+# The end of a period stays free, so that the next sending is in time.
 _MARGIN_NS = 150_000
 
 
 class Arrival(NamedTuple):
-    """A message, or the part of it that is read, and when it came."""
+    """A message, or the part of it that is read, and the time of its arrival."""
 
     data: bytes
     now: Instant
@@ -45,7 +46,7 @@ class Arrival(NamedTuple):
 
 
 class Arrivals:
-    """Hands messages from the bus's thread to the loop's; `missed` are those it had no room for."""
+    """Hands messages from the bus's thread to the loop; `missed` counts messages without room."""
 
     def __init__(self, *, read: int | None) -> None:
         self.missed = 0
@@ -66,7 +67,7 @@ class Arrivals:
         self.arrived.set()
 
     def read_until(self, due_ns: int, read: Callable[[Arrival], None]) -> None:
-        """Read what is there, but no longer than until shortly before `due_ns`; one at least."""
+        """Read the queued messages, at least one, until shortly before `due_ns`."""
         while self._queue:
             read(self._queue.popleft())
             if Instant.now().monotonic_ns > due_ns - _MARGIN_NS:
@@ -86,12 +87,12 @@ class NearLoop:
 
     @property
     def missed(self) -> int:
-        """Messages down that arrived and could not be read: they count as lost."""
+        """The number of messages down that arrived when the queue was full. They count as lost."""
         return self._arrivals.missed
 
     @property
     def given_up(self) -> int:
-        """Messages up that were never sent."""
+        """The number of messages up that were skipped."""
         return self._ticker.ticks_given_up
 
     def receive(self, delivery: Delivery) -> None:
@@ -102,9 +103,9 @@ class NearLoop:
         self.near.take(arrival.data, arrival.now, one_clock=arrival.one_clock)
 
     def connect(self, endpoint: str, stopping: Callable[[], bool]) -> bool:
-        """Send until messages pass both ways; False if stopped before.
+        """Send until messages pass both ways. Return False if stopped before.
 
-        `LinkError` if nobody answers, or somebody who is no far end for this one.
+        Raise `LinkError` if no far end answers, or a far end of another version.
         """
         near = self.near
         self._ticker = ticker = _make_ticker(near.settings.period_ns)
@@ -114,21 +115,21 @@ class NearLoop:
                 return False
             if near.other_version:
                 raise LinkError(
-                    f"the far end at {endpoint} is of another version of this project "
-                    f"({near.other_version}): use the same on both machines"
+                    f"the far end at {endpoint} runs another version of this project "
+                    f"({near.other_version}); install the same version on both machines"
                 )
             if self._tick(ticker).monotonic_ns > limit_ns:
                 raise LinkError(self._unanswered(endpoint))
         return True
 
     def measure(self, *, seconds: float, stopping: Callable[[], bool]) -> tuple[int, int]:
-        """Start and end of what was measured [ns] on the clock of the recording."""
+        """Measure. Return the start and the end [ns] on the clock of the recording."""
         settings, ticker = self.near.settings, self._ticker
         for _ in range(round(SETTLE_SECONDS * 1e9 / settings.period_ns)):
             self._tick(ticker)
         ticker.ticks_given_up = 0
         self.began = datetime.now(timezone.utc)
-        # Messages are sent in the middle of their periods, and stay in them if they are late.
+        # Messages are sent in the middle of their periods, so a late one stays in its period.
         first = self._tick(ticker)
         start_ns = first.stamp_ns(settings) - settings.period_ns // 2
         asked = max(1, round(seconds * 1e9 / settings.period_ns))
@@ -140,7 +141,7 @@ class NearLoop:
         return start_ns, start_ns + periods * settings.period_ns
 
     def drain(self, stopping: Callable[[], bool]) -> None:
-        """Until every stamp is home, or nothing more comes."""
+        """Exchange small messages until no stamp is missing or no new stamp arrives."""
         self.near.draining = True
         ticker = _make_ticker(_DRAIN_PERIOD_NS)
         begun_ns = ticker.due_ns
@@ -161,15 +162,15 @@ class NearLoop:
     def _unanswered(self, endpoint: str) -> str:
         refused = self.near.refused
         if refused["session"]:
-            return f"the far end at {endpoint} is busy with another recording: try again after it"
+            return f"the far end at {endpoint} is busy with another recording; try again after it"
         if refused.total_refused:
             return (
-                f"what answers at {endpoint} is no far end of a recording (refused "
-                f"{dict(refused)}): start there, in place of the edge: {START_FAR}"
+                f"expected the far end of a recording at {endpoint}, got another program (refused "
+                f"{dict(refused)}); start there, in place of the edge: {START_FAR}"
             )
         return (
-            f"nobody answered at {endpoint} within {CONNECT_SECONDS:g} s; start there, in place of "
-            f"the edge and under the same --name: {START_FAR}"
+            f"expected an answer from {endpoint} within {CONNECT_SECONDS:g} s, got none; start "
+            f"there, in place of the edge and under the same --name: {START_FAR}"
         )
 
 
@@ -190,7 +191,7 @@ class FarLoop:
         self.far.take(arrival.data, arrival.now)
 
     def run(self, stopping: Callable[[], bool]) -> None:
-        """Until `stopping()`."""
+        """Serve recordings until `stopping()`."""
         while not stopping():
             self._arrivals.arrived.wait(_IDLE_SECONDS)
             self._arrivals.arrived.clear()
@@ -198,7 +199,7 @@ class FarLoop:
             if self.far.owes_version:
                 self.far.owes_version = False
                 self._publisher.publish(version_notice())
-                self._say("refused: a recorder of another version of this project")
+                self._say("refused a recorder of another version of this project")
             if self.far.recording is not None:
                 self._serve(self.far.recording, stopping)
 

@@ -1,4 +1,4 @@
-"""What a recording says: a status line while it runs, and a summary."""
+"""Printed output of a recording: a status line while it runs, and a summary."""
 
 from __future__ import annotations
 
@@ -19,14 +19,12 @@ _TERMINAL_SECONDS, _PLAIN_SECONDS = 0.25, 5.0
 
 
 def say(line: str) -> None:
-    """One line of standard output, at once."""
+    """Print one line to standard output, and flush it."""
     print(line, flush=True)
 
 
 class StatusLine:
-    """Time left, delays and losses, from a thread of its own: in place on a terminal, else now and
-    then.
-    """
+    """Prints time left, delays and losses from a thread: in place on a terminal, else every 5 s."""
 
     def __init__(self, loop: NearLoop, *, seconds: float) -> None:
         self._loop = loop
@@ -60,7 +58,7 @@ class StatusLine:
 
 
 def summary_lines(recorded: Recorded, path: Path) -> Iterator[str]:
-    """What was measured, in words and milliseconds."""
+    """The lines of the summary, in milliseconds."""
     profile = recorded.profile
     for name, delays_ns in zip(DIRECTIONS, profile.delays_ns, strict=True):
         passed_ms = delays_ns[delays_ns != LOST] * 1e-6
@@ -75,24 +73,24 @@ def summary_lines(recorded: Recorded, path: Path) -> Iterator[str]:
     held = ", ".join(f"{k} {way}" for k, way in zip(recorded.held, ("up", "down"), strict=True))
     yield (
         f"{path}: {profile.duration_ns * 1e-9:g} s, {n} periods of {profile.period_ns * 1e-6:g} "
-        f"ms; held, as nothing was sent: {held}"
+        f"ms; periods without a message, which hold a neighbour's delay: {held}"
     )
     if any(recorded.impossible):
         yield (
-            f"warning: {sum(recorded.impossible)} messages arrived before they were sent, by these "
-            "clocks: one of them was set or changed its rate meanwhile"
+            f"warning: by these clocks {sum(recorded.impossible)} messages arrived before they "
+            "were sent; a clock was set or changed its rate during the recording"
         )
 
 
 def _clock_in_words(recorded: Recorded) -> str:
     clock = recorded.clock
     if clock.uncertainty_ns is None:
-        return f"{clock.method}: delays are as true as that"
+        return f"{clock.method}: delays are as accurate as these clocks"
     if clock.uncertainty_ns == 0 and clock.offset_ns == 0:
-        return f"{clock.method}: offset 0, delays are true"
+        return f"{clock.method}: offset 0, delays are exact"
     return (
         f"far ahead by {clock.offset_ns * 1e-6:.3f} ms ± {clock.uncertainty_ns * 1e-6:.3f} ms, "
-        f"drift {clock.drift_ppm:+.2f} ppm, from {clock.method}; if one way is really slower, that "
-        "much of it may be counted to the other: only a common clock can tell (--clock "
-        "synchronised)"
+        f"drift {clock.drift_ppm:+.2f} ppm, from {clock.method}; if one way is slower, up to the "
+        "uncertainty of its delay may be counted to the other way; a common clock is exact "
+        "(--clock synchronised)"
     )

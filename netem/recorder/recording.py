@@ -1,7 +1,8 @@
-"""From the stamps of a recording to a profile: the delay of each period of sending time, each way.
+"""Conversion of a recording's stamps to a profile: the delay of each period of sending time.
 
-A period takes the delay of the message sent nearest to its middle. One that the sender slept
-through, with no message within a period of it, holds the delay of the nearest and is counted.
+A period takes the delay of the message that was sent nearest to its middle. If that message is more
+than a period away, the sender skipped the period. The period then still holds that delay, and is
+counted.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from shared.errors import LinkError
 
 @dataclass(frozen=True)
 class Recorded:
-    """A recording's profile, the clocks, and per way what was not measured.
+    """A recording's profile, the clocks, and counts per way.
 
-    `held` are periods in which nothing was sent; `impossible` messages that by the clocks' line
-    arrived before they were sent and count as without delay.
+    `held` counts periods without a message. `impossible` counts messages that by these clocks
+    arrived before they were sent; their delay is set to 0.
     """
 
     profile: DelayProfile
@@ -42,13 +43,14 @@ class Recorded:
 def estimate_clock(
     up: Stamps, down: Stamps, *, same_clock: bool, same_time: bool
 ) -> tuple[ClockOffset, str]:
-    """The far clock's lead, and a warning or "". `same_time`: the user says both machines keep one.
+    """The far clock's lead, and a warning or "".
 
-    `LinkError` if one way nothing has arrived.
+    `same_time`: by the user's option both machines keep one time. `LinkError` if no message of a
+    direction arrived.
     """
     for way, stamps in zip(DIRECTIONS, (up, down), strict=True):
         if not np.any(stamps.received_ns != NEVER):
-            raise LinkError(f"no {way} message arrived: nothing to write")
+            raise LinkError(f"expected {way} messages, got none; no profile is written")
     if same_clock:
         return one_clock(int(up.arrived.received_ns[0])), ""
     clock = equal_least_delays(up, down)
@@ -58,8 +60,8 @@ def estimate_clock(
             return given, ""
         apart_ms = (abs(clock.offset_ns) - (clock.uncertainty_ns or 0)) * 1e-6
         return clock, (
-            f"the machines' clocks are not synchronised: {apart_ms:.3f} ms apart or more; taken as "
-            "with --clock own"
+            f"the machines' clocks are not synchronised but {apart_ms:.3f} ms apart or more; their "
+            "offset is estimated as with --clock own"
         )
     return clock, ""
 
@@ -75,9 +77,9 @@ def reconstruct(
     end_ns: int,
     metadata: Mapping[str, Any],
 ) -> Recorded:
-    """The profile from `start_ns` to `end_ns` of the near clock, whole periods.
+    """The profile from `start_ns` to `end_ns` of the near clock, in whole periods.
 
-    `LinkError` if all of it was lost one way: nothing could replay that.
+    `LinkError` if every message of a direction was lost: such a profile cannot be replayed.
     """
     period_ns = settings.period_ns
     n = max(1, (end_ns - start_ns) // period_ns)
@@ -93,7 +95,7 @@ def reconstruct(
         sent_ns, each = _up_to(end_ns, sent[way], each, period_ns=period_ns)
         by_period, slept = resample(sent_ns, each, start_ns=start_ns, period_ns=period_ns, n=n)
         if np.all(by_period == LOST):
-            raise LinkError(f"every {DIRECTIONS[way]} message was lost: nothing to write")
+            raise LinkError(f"every {DIRECTIONS[way]} message was lost; no profile is written")
         delays.append(by_period)
         held.append(slept)
         impossible.append(int(np.count_nonzero(negative)))
@@ -115,7 +117,7 @@ def reconstruct(
 
 
 def fill_sending_times(stamps: Stamps, *, period_ns: int) -> np.ndarray:
-    """`sent_ns` with those of lost messages drawn in: evenly between their neighbours' (n,)."""
+    """Sending times with those of lost messages interpolated between their neighbours, (n,)."""
     known = np.flatnonzero(stamps.sent_ns != NEVER)
     first, last = known[0], known[-1]
     numbers = np.arange(len(stamps.sent_ns))
@@ -123,14 +125,14 @@ def fill_sending_times(stamps: Stamps, *, period_ns: int) -> np.ndarray:
     between = np.interp(numbers, known, (stamps.sent_ns[known] - reference_ns).astype(float))
     outside = np.minimum(numbers - first, 0) + np.maximum(numbers - last, 0)
     filled = reference_ns + np.rint(between).astype(np.int64) + outside * period_ns
-    # A time of day may be set back; a sequence of sendings is not.
+    # A time of day may be set back. The times of a sequence of messages must not decrease.
     return np.maximum.accumulate(np.where(stamps.sent_ns != NEVER, stamps.sent_ns, filled))
 
 
 def resample(
     sent_ns: np.ndarray, delays_ns: np.ndarray, *, start_ns: int, period_ns: int, n: int
 ) -> tuple[np.ndarray, int]:
-    """Delays by period (n,) and how many are held, from those by message in order of sending."""
+    """Delays by period (n,), from delays by message in order of sending; the number held."""
     middles = start_ns + period_ns // 2 + np.arange(n, dtype=np.int64) * period_ns
     after = np.searchsorted(sent_ns, middles).clip(1, max(1, len(sent_ns) - 1))
     after = np.minimum(after, len(sent_ns) - 1)
@@ -143,7 +145,7 @@ def resample(
 def _up_to(
     end_ns: int, sent_ns: np.ndarray, delays_ns: np.ndarray, *, period_ns: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """With lost messages appended until `end_ns`, where nothing more is known of the sender."""
+    """Append lost messages until `end_ns`, from which no message of the sender is known."""
     missing = max(0, (end_ns - int(sent_ns[-1])) // period_ns)
     more = sent_ns[-1] + period_ns * np.arange(1, missing + 1)
     return np.concatenate([sent_ns, more]), np.concatenate([delays_ns, np.full(missing, LOST)])

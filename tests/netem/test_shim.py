@@ -219,7 +219,7 @@ def test_what_is_under_way_is_bounded_and_said_to_be(monkeypatch: pytest.MonkeyP
         until(lambda: bench.noted == 5, "what has left is not noted down")
         bench.send(UPLINK, 5, sent_ns=time.monotonic_ns())
         bench.outlets[UPLINK].wait_for(3)
-    assert sum("finds no room" in line for line in bench.message) == 1
+    assert sum("without room are lost" in line for line in bench.message) == 1
     sequence, achieved = bench.column("sequence"), bench.column("achieved_ns")
     assert set(sequence[achieved == -1]) == {3, 4}
 

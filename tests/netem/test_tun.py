@@ -14,7 +14,7 @@ def test_without_root_root_is_what_is_asked_for(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("os.geteuid", lambda: 1000)
     # Whatever else is missing, nothing of it can be mended by another than root.
     monkeypatch.setattr("shutil.which", lambda name: None)
-    with pytest.raises(LinkError, match="need root: try sudo"):
+    with pytest.raises(LinkError, match="need root; try sudo"):
         NamespacePair(robot="a", edge="b", mtu=1500).__enter__()
 
 

@@ -14,13 +14,13 @@ NEAR = ("--connect", "tcp/127.0.0.1:1")
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (NEAR, "out: expected the profile to write"),
+        (NEAR, "out: expected a file for the profile"),
         ((*NEAR, "--out", "x.dat"), "ends in .npz or .csv"),
         ((*NEAR, "--out", "/proc/x.npz"), "out: cannot write"),
         ((*NEAR, "--out", "x.npz", "--rate", "1e6"), "rate: expected from 10 to 5000"),
         ((*NEAR, "--out", "x.npz", "--uplink", "1MB"), "uplink: expected a size from"),
         ((*NEAR, "--out", "x.npz", "--seconds", "0"), "seconds: expected from 0.1"),
-        (("--listen", "tcp/127.0.0.1:1", "--seconds", "5"), "seconds: the near end says it"),
+        (("--listen", "tcp/127.0.0.1:1", "--seconds", "5"), "seconds: expected beside --connect"),
         (("--listen", "tcp/127.0.0.1:1", *NEAR), "not allowed with"),
         ((), "one of the arguments --listen --connect is required"),
     ],
