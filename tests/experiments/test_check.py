@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from experiments.studies.check import add_check_arguments, changed, difference, matched, run_check
-from experiments.studies.code_identity import ROOT
+from experiments.studies.code_identity import ROOT, code_version
 from experiments.studies.rounding import beyond, differences
 from experiments.studies.study_file import read_study
 from experiments.studies.sweep import sweep
@@ -79,16 +79,34 @@ def test_a_changed_cell_is_named_with_its_row_whatever_the_code(folder, capsys):
         active_set_discrepancy__ticks=[ticks[0] + 1, *ticks[1:]],
         realtime_factor=99.0,  # measured: not compared
     )
-    about = json.loads((folder / "about.json").read_text())
-    (folder / "about.json").write_text(json.dumps(about | {"code": "other"}))
-    assert check(folder, "--sample", "4", "--seed", "1") == 1
+    played_by_other_code(folder)
+    assert check(folder, "--sample", "4", "--seed", "1", "--exact") == 1
     shown = capsys.readouterr()
-    assert f"the code differs: {folder} was played with code other" in shown.err
+    assert "expected to the last bit" in shown.out
     (line,) = (line for line in shown.out.splitlines() if line.startswith("row "))
     assert line.startswith("row 2 (link.network=generated:factory, seed=0) differs: com_error_m is")
     assert f"active_set_discrepancy.ticks is {[ticks[0] + 1, *ticks[1:]]}, played again" in line
     assert "realtime_factor" not in line
     assert "4 of 4 trials played again (--seed 1): rows that differ: 1" in shown.out
+
+
+def test_of_other_code_rows_agree_within_tolerances(folder, capsys):
+    com_error_m = read_trials(folder).to_pylist()[2]["com_error_m"]
+    spoil(folder, com_error_m=com_error_m * (1 + 1e-5), log_hash="of other bits")
+    played_by_other_code(folder)
+    assert check(folder, "--sample", "4") == 0
+    shown = capsys.readouterr().out
+    assert f"code other of commit {'0' * 10}" in shown
+    assert f"there, {code_version()} here" in shown
+    assert "rows that differ by rounding alone: 1" in shown
+    spoil(folder, com_error_m=com_error_m * (1 + 1e-2))
+    assert check(folder, "--sample", "4") == 1
+
+
+def played_by_other_code(folder):
+    about = json.loads((folder / "about.json").read_text())
+    changed = {"code": "other", "commit": "0" * 40}
+    (folder / "about.json").write_text(json.dumps(about | changed))
 
 
 def test_a_row_of_no_trial_differs_without_being_played(folder, capsys):
