@@ -120,8 +120,8 @@ def _expected(reasons: Sequence[str]) -> str:
     if not reasons:
         return "expected to the last bit"
     return (
-        f"expected within {RELATIVE:g} (or {ABSOLUTE:g}), a fall within {FALL_SECONDS:g} s: bits may "
-        f"differ because of {'; '.join(reasons)}"
+        f"expected within {RELATIVE:g} (or {ABSOLUTE:g}), a fall within {FALL_SECONDS:g} s: "
+        f"bits may differ because of {'; '.join(reasons)}"
     )
 
 
