@@ -1,11 +1,11 @@
-"""Your own controller on the robot: the edge's last solution with the robot's own dynamics.
+"""Your own controller: the edge's last solution with the robot's present dynamics.
 
     ./deploy/python -m examples.own_controller
 
-PR applies the edge's last torque, LA its last projector. In between lies a third: keep the last
-*solution* y = (a, f), and recover the torque with the dynamics of the present state. A controller
-is two methods and a cache, see `robot_node.controllers.Controller`; sensors, the checks of what
-arrives, the clamp of torques and telemetry stay the robot's.
+PR applies the edge's last torque, LA its last projector. This controller lies between them: it
+keeps the last *solution* y = (a, f), and recovers the torque with the dynamics of the present
+state. A controller is two methods and a cache, see `robot_node.controllers.Controller`. The robot
+keeps its sensors, its checks of messages, the clamp of torques and telemetry.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from shared.wbc.torque import recover_torque
 
 
 class LastSolution(Controller):
-    """τ = S (M a + h − J_cᵀ G f), with y = (a, f) the edge's and the rest measured now."""
+    """τ = S (M a + h − J_cᵀ G f), with y = (a, f) from the edge and all else measured now."""
 
     def __init__(self, parts: ControllerParts) -> None:
         self.cache: ProjectorCache = ProjectorCache(parts.codec, session=parts.session)
@@ -39,12 +39,12 @@ class LastSolution(Controller):
         mode, active_set = answer.projector.mode, answer.projector.active_set
         contacts = self._parts.stacks[mode].contacts
         tau = recover_torque(self._parts.model, contacts, *self._state, answer.y)
-        source = Source.CACHED  # what it is called unless it answers this very state
+        source = Source.CACHED  # the source unless the answer is for this state
         return Decision(tau, answer.y, mode, active_set, source, answer.sequence, answer.stamp_ns)
 
 
 def main(duration: float = 3.0) -> tuple[TrialResult, TrialResult]:
-    """A push while every answer is 50 ms old: PR, and this one."""
+    """Push the robot while every answer is 50 ms old, with PR and with this controller."""
     settings = {"controller": "pr", "duration": duration, "link.network": "constant:50ms"}
     config = load_config(None, settings)
     pr, mine = Lockstep(config).run(), Lockstep(config, make_controller=LastSolution).run()

@@ -1,9 +1,9 @@
-"""Your own task: Romeo bends its knees, on answers that are 60 ms old.
+"""Your own task: Romeo bends its knees, with answers that are 60 ms old.
 
     ./deploy/python -m examples.own_task
 
-A task is a motion: the reference of CoM, trunk, posture and feet at every time, which both ends of
-the link derive for themselves; see `shared.wbc.reference.Motion`.
+A task is a motion: the reference of CoM, trunk, posture and feet at every time. Each end of the
+link computes it, see `shared.wbc.reference.Motion`.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ DEPTH, PERIOD = 0.06, 2.0  # m, s
 
 
 class KneeBends(Standing):
-    """The CoM goes DEPTH down and comes up again every PERIOD; all else as when standing."""
+    """The CoM goes down by DEPTH and up again every PERIOD; all else is as in standing."""
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
         super().__init__(robot)
-        # In every message, so that ends of a link that differ refuse each other.
+        # In every message, so that two ends with different motions refuse each other.
         self.digest = motion_digest(np.array([DEPTH, PERIOD]), np.frombuffer(self.digest, np.uint8))
 
     def reference(self, time_ns: int) -> Reference:
-        """−DEPTH (1 − cos ωt) / 2 and its derivatives, added to the CoM of standing."""
+        """Add −DEPTH (1 − cos ωt) / 2 and its derivatives to the CoM of standing."""
         standing, rate = super().reference(time_ns), 2.0 * math.pi / PERIOD
         angle, up = rate * time_ns * 1e-9, np.array([0.0, 0.0, 1.0])
         return dataclasses.replace(
@@ -44,12 +44,12 @@ class KneeBends(Standing):
 
 
 def main(duration: float = 4.0) -> TrialResult:
-    """Two knee bends; where the CoM should have been, and where it was."""
+    """Play two knee bends; print the reference and the measured height of the CoM."""
     settings = {"duration": duration, "push": [], "link.network": "constant:60ms"}
-    settings["wbc.weights.posture"] = 1e-4  # that of standing gives way; by default it would not
+    settings["wbc.weights.posture"] = 1e-4  # lower, so that the posture gives way
     result = Lockstep(load_config(None, settings), make_motion=KneeBends).run()
     asked, was = (result.schema.column(result.rows, key) for key in ("com_reference", "com"))
-    print("  time   CoM height asked for, and reached [m]")
+    print("  time   CoM height: reference, reached [m]")
     for tick in range(0, len(result.rows), 500):
         print(f"{tick / 1000:5.2f} s {asked[tick, 2]:9.3f} {was[tick, 2]:9.3f}")
     print("falls" if result.summary["fell"] else "stands")

@@ -1,10 +1,10 @@
-"""Your own trace: delays from an array to a profile file, and a robot on the link it describes.
+"""Your own link: write delays from an array into a profile file, and run a robot over them.
 
     ./deploy/python -m examples.own_trace
 
 A profile holds the one-way delay, each way, of a message *sent* in each millisecond, and repeats.
-Measurements of other tools become one by `./wbc netem convert`, your own link by `./wbc
-netem record`; `docs/profiles.md` describes the file.
+`./wbc netem convert` makes a profile from other tools' measurements, and `./wbc netem record` from
+your own link. `docs/profiles.md` describes the file.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from shared.config.config_file import load_config
 
 
 def my_link() -> DelayProfile:
-    """Two seconds: 5 ms each way, 0.2 s in which nothing passes, and one answer in 100 is lost."""
+    """Return two seconds: 5 ms each way, an outage of 0.2 s, and one answer in 100 is lost."""
     ms = np.arange(2000)
     delay_ms = np.full(len(ms), 5.0)
     stalled = (ms >= 1000) & (ms < 1200)
-    delay_ms[stalled] += 1200 - ms[stalled]  # what is sent then waits for the end
+    delay_ms[stalled] += 1200 - ms[stalled]  # a message sent then waits for the end
     delays_ns = np.tile(np.rint(delay_ms * 1e6).astype(np.int64), (2, 1))  # uplink, downlink
     delays_ns[1, ::100] = LOST
     return DelayProfile("mine", delays_ns, metadata={"scenario": "an example"})
 
 
 def main(duration: float = 4.0, folder: Path = Path("runs")) -> tuple[DelayProfile, TrialResult]:
-    """Write the profile, read it back, look at it, and let a robot balance over it."""
+    """Write the profile, read it back, print its numbers, and let a robot balance over it."""
     path = folder / "mine.csv"  # or .npz, in whole microseconds
     write_profile(my_link(), path)
     print(f"{path}, as ./deploy/up --network {path} replays it live:")
@@ -43,7 +43,7 @@ def main(duration: float = 4.0, folder: Path = Path("runs")) -> tuple[DelayProfi
     longest = max(outage.peak_ms for outage in outages(round_trip_ms) if outage.peak_ms < np.inf)
     print(f"round trip {np.median(round_trip_ms):g} ms, in the stall up to {longest:g} ms")
 
-    # Where in the profile a run begins, its seed draws.
+    # The seed draws where in the profile the run begins.
     config = load_config(None, {"duration": duration, "link.network": str(path), "seed": 0})
     result = Lockstep(config).run()
     age, downlink = result.summary["projector_age_ms"], result.summary["link"]["downlink"]

@@ -2,10 +2,10 @@
 
     ./deploy/python -m examples.sweep
 
-A study is a table of settings, here a dict, in `experiments/configs/` a TOML file; every cell of
+A study is a table of settings: a dict here, a TOML file in `experiments/configs/`. Every cell of
 its grid is played with the same seeds. `experiments/studies/study_file.py` describes all keys.
-What has been played is kept: interrupt it, and the same command goes on. From the command line the
-same is `./wbc sweep FILE.toml`.
+Finished trials are kept: after an interruption, the same command goes on. `./wbc sweep FILE.toml`
+plays a study from the command line.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ STUDY: dict[str, Any] = {
 def main(
     duration: float = 3.0, folder: Path = Path("runs"), workers: int | None = None
 ) -> list[dict[str, Any]]:
-    """Play the study, or what is left of it; its rows, one per trial, are in trials.parquet too."""
+    """Play the study, or the rest of it. Return its rows, one per trial, as in trials.parquet."""
     study = make_study(STUDY | {"base": STUDY["base"] | {"duration": duration}})
     out = folder / "sweep-delays"
     rows = sweep(study, out=out, workers=workers or os.cpu_count() or 1)

@@ -1,10 +1,10 @@
-"""A trial from Python: what a push and a stalling link do to PR, LA and LC.
+"""A trial from Python: PR, LA and LC under a push, over a link that stalls.
 
     ./deploy/python -m examples.trial
 
-A trial is a configuration, played under simulated time: the same one gives the same result to the
-last bit. Its settings are those of `docs/configuration.md`, with a dot for every section; what is
-not said has its default.
+A trial is a configuration, played under simulated time. The same configuration gives the same
+result to the last bit. `docs/configuration.md` lists the settings; a key has a dot after its
+section. All other settings have their defaults.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from shared.output.report import summary_in_words
 
 
 def play(controller: str, *, duration: float) -> TrialResult:
-    """Romeo balances; 0.3 s of stall begin just when it is pushed sideways."""
+    """Play a balance of Romeo. An outage of 0.3 s begins just when it is pushed sideways."""
     config = load_config(
         None,
         {
@@ -32,12 +32,12 @@ def play(controller: str, *, duration: float) -> TrialResult:
 
 
 def main(duration: float = 5.0) -> dict[str, TrialResult]:
-    """Play the three controllers, and say what happened."""
+    """Play the three controllers, and print the outcomes."""
     results = {name: play(name, duration=duration) for name in ("pr", "la", "lc")}
     for result in results.values():
         print(summary_in_words(result.summary), end="\n\n")
 
-    print("the age of what was applied, and how far the CoM was off, each 0.1 s:")
+    print("age of the answer in use, and error of the CoM, every 0.1 s:")
     for name, result in results.items():
         # A row per tick, a millisecond each; the columns are those of telemetry.parquet.
         age_ms = result.schema.column(result.rows, "projector_age_ns") / 1e6

@@ -1,4 +1,4 @@
-"""Watch a run as it happens, look at it again, compare it with others, make pictures of it."""
+"""Watch a live run, look at finished runs, compare them, make pictures of them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from shared.process.cli import Subcommand, run, run_command
 
 COMMANDS = (
     Subcommand("live", "show a run as it happens", "viewer.commands"),
-    Subcommand("open", "show a run that is over", "viewer.commands"),
-    Subcommand("compare", "show runs side by side, their lines together", "viewer.commands"),
+    Subcommand("open", "show a finished run", "viewer.commands"),
+    Subcommand("compare", "show runs side by side, and their lines in one plot", "viewer.commands"),
     Subcommand("snapshot", "make a picture or an animation", "viewer.commands"),
     Subcommand("record", "build RUN/recording.rrd", "viewer.commands"),
 )

@@ -1,8 +1,8 @@
-"""The layout of the view: the robot on the left, what explains it on the right.
+"""The layout of the view: the robot on the left, the plots on the right.
 
-Nothing needs to be opened or arranged by hand. Read from the top: what the link did, what the robot
-made its commands of, what came of it, and what it took. A recording shows its whole length; a live
-view follows the newest data and plots the last seconds.
+The user opens and arranges nothing by hand. The plots show, from the top: the link, the sources of
+the robot's commands, the errors, and the computing times. A recording shows its whole length; a
+live view follows the newest data and plots the last seconds.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ LIVE_WINDOW = 20.0  # seconds
 _COM_ERROR = f"CoM error [cm], at most {MAX_COM_ERROR_CM:g} drawn"
 _CONTACT_VIOLATION = f"Contact violation [m/s²], at most {MAX_CONTACT_VIOLATION:g}"
 _LEFT, _RIGHT = rrb.Corner2D.LeftTop, rrb.Corner2D.RightTop
-# Of a walk, this much of the way is looked at from the start [m].
+# The camera shows at most this part of the way of a walk, to either side of its target [m].
 _LOOK_AHEAD = 1.5
-# A humanoid is so much taller than its base is high, and with its arms so wide for its height.
+# The height of a humanoid over that of its base, and its width with its arms over its height.
 _HEIGHT, _WIDTH = 1.75, 0.6
 
 
 def layout(config: RunConfig, *, live: bool, picture: bool = False) -> rrb.Blueprint:
-    """The blueprint of a live view, of a finished recording, or of a picture of one."""
+    """Return the blueprint of a live view, of a finished recording, or of a picture of one."""
     correction = _plot("Correction (LC)", "plots/correction", legend=_LEFT, live=live)
     corrected = CONTROLLERS[config.controller].corrects
     return _blueprint(
@@ -62,7 +62,7 @@ def layout(config: RunConfig, *, live: bool, picture: bool = False) -> rrb.Bluep
                 _plot("Computation [ms]", "plots/compute", legend=_RIGHT, live=live),
                 column_shares=[0.8, 1.0, 1.1] if corrected else None,
             ),
-            # All lanes are seen on the screen of a small laptop.
+            # With these shares, all lanes fit the screen of a small laptop.
             row_shares=[2.4, 3.4, 2.4, 2.4],
         ),
         live=live,
@@ -71,7 +71,7 @@ def layout(config: RunConfig, *, live: bool, picture: bool = False) -> rrb.Bluep
 
 
 def compared_layout(configs: Sequence[RunConfig], *, picture: bool = False) -> rrb.Blueprint:
-    """The blueprint of several finished runs: robots side by side, their lines in one plot."""
+    """Return the blueprint of several finished runs: robots side by side, lines in one plot."""
     return _blueprint(
         _robot_view(configs),
         rrb.Vertical(
@@ -110,10 +110,10 @@ def _blueprint(
 
 
 def camera(configs: Sequence[RunConfig]) -> tuple[np.ndarray, np.ndarray]:
-    """Where it is and what it looks at, each (3,) [m, world], for robots side by side.
+    """Return the camera's position and target, each (3,) [m, world], for robots side by side.
 
-    From before them and a little from their right, all of them in the picture; of a walk, from
-    where all of it is seen, or the beginning of a long one.
+    The camera stands in front of the robots, a little to their right, and shows all of them. It
+    shows the whole way of a walk, or the beginning of a long one.
     """
     height = _HEIGHT * max(load_robot(each.robot.name).q_standing[2] for each in configs)
     width = _WIDTH * height + (len(configs) - 1) * SIDE_BY_SIDE
@@ -126,7 +126,7 @@ def camera(configs: Sequence[RunConfig]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _half_way(config: RunConfig) -> float:
-    """How far ahead the middle of a walk is, or of the beginning of a long one [m]."""
+    """Return the distance to the middle of a walk, or of the beginning of a long one [m]."""
     if config.task != "walk":
         return 0.0
     half = config.walk.steps * config.walk.step_length / 2
@@ -174,7 +174,7 @@ def _plot(
 
 
 def _recent() -> rr.TimeRange:
-    """From some seconds before the cursor on; a live run has nothing after it."""
+    """Return the range from `LIVE_WINDOW` before the cursor on. A live run has no later data."""
     return rr.TimeRange(
         start=rr.TimeRangeBoundary.cursor_relative(seconds=-LIVE_WINDOW),
         end=rr.TimeRangeBoundary.infinite(),

@@ -1,4 +1,4 @@
-"""The commands of the viewer: their options, and what they do."""
+"""The commands of the viewer and their options."""
 
 from __future__ import annotations
 
@@ -24,9 +24,17 @@ from viewer.snapshot import ANIMATIONS, animation, picture
 def add_live_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", metavar="FILE.toml", required=True, help="settings of the run")
     parser.add_argument(
-        "--telemetry", metavar="ENDPOINT", required=True, help="hub, as in tcp/127.0.0.1:7450"
+        "--telemetry",
+        metavar="ENDPOINT",
+        required=True,
+        help="telemetry hub, as in tcp/127.0.0.1:7450",
     )
-    parser.add_argument("--view", choices=VIEWS, default="native", help="(default %(default)s)")
+    parser.add_argument(
+        "--view",
+        choices=VIEWS,
+        default="native",
+        help="a window, a browser, or a recording only (default %(default)s)",
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, help="also write DIR/recording.rrd")
     add_held_argument(parser)
 
@@ -58,23 +66,36 @@ def add_snapshot_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "runs", metavar="RUN", type=Path, nargs="+", help="a run's folder; several are compared"
     )
-    parser.add_argument("--out", metavar="FILE.png", type=Path, help="a picture")
-    parser.add_argument("--at", metavar="SECONDS", type=float, help="of the picture (default: end)")
+    parser.add_argument("--out", metavar="FILE.png", type=Path, help="file for a picture")
     parser.add_argument(
-        "--animation", metavar="FILE", type=Path, help=f"an animation, {' or '.join(ANIMATIONS)}"
+        "--at",
+        metavar="SECONDS",
+        type=float,
+        help="task time of the picture (default: end of the run)",
     )
-    parser.add_argument("--span", metavar="FROM:TO", help="of the animation [s] (default: all)")
     parser.add_argument(
-        "--speed", type=float, default=1.0, help="of the animation (default %(default)g)"
+        "--animation",
+        metavar="FILE",
+        type=Path,
+        help=f"file for an animation, {' or '.join(ANIMATIONS)}",
+    )
+    parser.add_argument(
+        "--span", metavar="FROM:TO", help="span of the animation [s] (default: the whole run)"
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        help="speed of the animation, × real time (default %(default)g)",
     )
 
 
 def _leaving_at_once(
     command: Callable[[argparse.Namespace], int],
 ) -> Callable[[argparse.Namespace], int]:
-    """The command, after which the process ends without unloading its libraries.
+    """Make a command end its process without unloading the libraries.
 
-    Everything is closed by then; on a busy machine unloading would take seconds more.
+    All files are closed by then. On a busy machine, unloading would take seconds more.
     """
 
     @functools.wraps(command)

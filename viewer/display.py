@@ -1,8 +1,8 @@
-"""Where a live recording goes: a file, and a window or a browser.
+"""The sinks of a live recording: a file, and a window or a browser.
 
-The recording is served from this process, on the loopback interface only and with bounded memory.
-What shows it is a child process that connects to that server: rerun's native viewer, or rerun's web
-server for a browser. The child dies with this process, however this process ends.
+This process serves the recording, on the loopback interface only and with bounded memory. A child
+process connects to that server and shows the recording: rerun's native viewer, or rerun's web
+server for a browser. When this process ends, even by a crash, the child ends too.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from shared.errors import UserError
 from viewer.rerun_process import HOST, RerunProcess, free_port
 
 WEB_PORT = 9090
-# For those who open the view late; the oldest data go first.
+# The server keeps data for a view that is opened late, and drops the oldest first.
 SERVER_MEMORY = "256MiB"
 WINDOW_MEMORY = "1GiB"
 VIEWS = ("native", "web", "record")
@@ -39,9 +39,9 @@ class Display:
         blueprint: rrb.Blueprint,
         file: Path | None,
     ) -> None:
-        """Open what `view` (one of `VIEWS`) and `file` ask for; `UserError` if that fails."""
+        """Open the sinks for `view` (one of `VIEWS`) and `file`; `UserError` if one fails."""
         if view == "record" and file is None:
-            raise UserError("--view record: expected --out DIR, where the recording goes")
+            raise UserError("--view record: expected --out DIR for the recording, got none")
         self.address = f"recording to {file}"
         self._recording = recording
         self._child: RerunProcess | None = None
@@ -59,7 +59,7 @@ class Display:
 
     @property
     def shown(self) -> bool:
-        """Whether the window or the web server is still there."""
+        """Return whether the window or the web server still runs."""
         return self._child is not None and self._child.running
 
     def close(self) -> None:
@@ -81,7 +81,7 @@ class Display:
         self.address = f"open http://{HOST}:{port}/?url={urllib.parse.quote(uri, safe='')}"
 
     def _open(self, what: str, arguments: tuple[str, ...], ready: Callable[[float], bool]) -> None:
-        """Start the child and wait until it shows; `UserError` if it does not."""
+        """Start the child and wait until it shows the recording; `UserError` if it does not."""
         self._child = RerunProcess(*arguments)
         reason = self._child.wait(ready)
         if reason is not None:

@@ -1,13 +1,13 @@
-"""The reference as a robot: a posture that does what the plan asks for, all at once.
+"""The reference as a robot: a posture that meets the whole plan at once.
 
-The plan has a CoM, a heading of the base and two soles, but joint angles only to stay near to. The
-ghost is the posture that has the first three exactly and is nearest to the last, by Newton's method
-from the ghost before:
+The plan gives the CoM, the base's orientation, both soles, and joint angles to stay near. The ghost
+is the posture that meets the first three exactly and is nearest to the joint angles. Newton's
+method finds it from the ghost before:
 
     Δq = J⁺ r + (1 − J⁺ J) (posture − q)        r: of CoM, base orientation and both soles
 
-It is what the tasks track, not what they could reach: a robot that has been pushed away from its
-ghost is on its way back to it.
+The ghost shows the reference of the tasks, not a state that the robot can reach at once. After a
+push, the robot moves back to its ghost.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from shared.robots.description import sole_frame_name
 from shared.wbc.contacts import ContactMode
 from shared.wbc.reference import Motion, Reference
 
-# Errors of CoM and soles far below what can be seen [m, rad]; steps until there.
+# Largest error of CoM and soles, too small to be seen [m, rad]; most steps towards it.
 TOLERANCE = 1e-4
 MAX_STEPS = 8
 # Keeps a stretched leg from asking for infinite joint angles.
@@ -44,13 +44,13 @@ class Ghost:
         self._met: Reference | None = None
 
     def stop(self, time_ns: int) -> None:
-        """From `time_ns` on the robot ends its walk early, as it said by its commands."""
+        """End the walk early from `time_ns` on, as the robot's commands say."""
         if not self._stopped:
             self._motion = self._motion.stopped(time_ns)
             self._stopped = True
 
     def posture(self, time_ns: int) -> np.ndarray:
-        """The configuration (nq,) in which the plan is met at `time_ns` of the task."""
+        """Return the configuration (nq,) that meets the plan at `time_ns` of the task."""
         reference = self._motion.reference(max(0, time_ns))
         if reference is self._met:
             return self._q
@@ -73,7 +73,7 @@ class Ghost:
             self._soles[foot] = pin.SE3(pin.utils.rotate("z", swing.yaw), swing.position)
 
     def _step(self, reference: Reference) -> float:
-        """One step of Newton's method; the largest error before it."""
+        """Make one step of Newton's method; return the largest error before it."""
         model, data = self._model, self._data
         J_com = pin.jacobianCenterOfMass(model, data, self._q)
         pin.computeJointJacobians(model, data, self._q)
@@ -95,7 +95,7 @@ class Ghost:
 
 
 def _stance(walk: Walking, time_ns: int) -> tuple[Footprint, Footprint]:
-    """Where both soles are planned to be; of a foot in the air, where it came from."""
+    """Return the planned places of both soles; for a foot in the air, its last place."""
     phase = next((each for each in walk.phases if time_ns < each.end_ns), walk.phases[-1])
     step = walk.steps[0] if phase.step is None else phase.step
     landed = phase.step is not None and phase.mode is ContactMode.DOUBLE_SUPPORT

@@ -1,7 +1,7 @@
-"""Telemetry blocks off the bus, into a queue that never grows.
+"""Receive telemetry blocks from the bus into a queue of bounded size.
 
-The viewer is a client of the telemetry session's hub and only listens. Blocks wait in a ring: when
-drawing falls behind, the oldest blocks are dropped whole and counted, the newest are kept.
+The viewer is a client of the telemetry hub and only listens. Blocks wait in a ring. If drawing
+falls behind, the oldest blocks are dropped and counted.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import zenoh
 from shared.errors import LinkError
 from shared.wire.channels import LINK_KEY, SOLVES_KEY, TICKS_KEY
 
-# About six seconds of a run, at most some 30 MB.
+# About six seconds of a run, at most about 30 MB.
 QUEUE_BLOCKS = 256
 # One attempt to connect; a stop request is seen between two of them.
 ATTEMPT_MS = 500
@@ -41,7 +41,7 @@ class BlockQueue:
             self._blocks.append(block)
 
     def take(self) -> list[bytes]:
-        """All waiting blocks, oldest first."""
+        """Return all waiting blocks, oldest first."""
         with self._lock:
             taken = list(self._blocks)
             self._blocks.clear()
@@ -51,9 +51,9 @@ class BlockQueue:
 def connect(
     endpoint: str, *, stopped: Callable[[], bool], timeout: float = 5.0
 ) -> zenoh.Session | None:
-    """A client session with the hub at `endpoint`; None if `stopped` while it tried.
+    """Return a client session with the hub at `endpoint`; None if `stopped` while it tried.
 
-    `LinkError` if the endpoint is malformed or no hub answers within `timeout` [s].
+    Raise `LinkError` if the endpoint is malformed or no hub answers within `timeout` [s].
     """
     config = zenoh.Config()
     settings = {
@@ -79,8 +79,8 @@ def connect(
         except zenoh.ZError:
             if time.monotonic() > deadline:
                 raise LinkError(
-                    f"telemetry: no hub answers at {endpoint}; is the run started, and is this "
-                    "the endpoint its telemetry listens on?"
+                    f"telemetry: no hub answers at {endpoint}; start the run, and give the "
+                    "endpoint of its telemetry hub"
                 ) from None
     return None
 

@@ -1,7 +1,7 @@
-"""A run as it happens: telemetry blocks off the bus, onto a screen, into a file or both.
+"""Show a live run: telemetry blocks from the bus go to a screen, into a file, or both.
 
-The loop draws what has arrived and waits for more until it is told to stop. Blocks that cannot be
-drawn are counted and skipped; those that come faster than they can be drawn, the queue drops.
+The loop draws the blocks that have arrived, and waits for more until it is stopped. Blocks that
+cannot be drawn are counted and skipped. If blocks come too fast, the queue drops the oldest.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from viewer.scene import Scene
 NICENESS = 10
 # Blocks of the robot come at this rate [s].
 DRAW_PERIOD = 0.1
-# Rows of the link may come this much later than those of the robot, which are of the same time.
+# Rows of the link may come this much later than the robot's rows of the same time.
 PATIENCE_NS = 500_000_000
 
 
@@ -44,7 +44,7 @@ def watch(
 ) -> None:
     """Show a run until `stopped`; `UserError` if the hub or the display cannot be opened.
 
-    Says one line starting with READY when blocks are being received, and one at the end.
+    Print a line that starts with READY when blocks are received, and a line at the end.
     """
     os.nice(NICENESS)
     robot = load_robot(config.robot.name)
@@ -83,7 +83,7 @@ def watch(
 
 
 class _Drawn:
-    """The scene, and how much of what came in it has taken."""
+    """The scene, and counts of the rows drawn, the blocks refused and the ticks missing."""
 
     def __init__(self, scene: Scene, say: Callable[[str], None]) -> None:
         self.rows = 0
@@ -106,7 +106,7 @@ class _Drawn:
         self._scene.look_for_silence(patience_ns=PATIENCE_NS)
 
     def _count(self, schema: Schema, rows: np.ndarray) -> None:
-        """Ticks are numbered: a gap is a block that was lost on the way or dropped by the queue."""
+        """Count rows and missing ticks. A gap is a block lost or dropped by the queue."""
         self.rows += len(rows)
         if "tick" in schema.slices and len(rows):
             ticks = schema.column(rows, "tick").astype(int)

@@ -1,8 +1,8 @@
 """The robot's visual meshes as glTF, ready to be drawn.
 
-A URDF may name COLLADA, STL or OBJ files or plain shapes; rerun draws glTF, and refuses the COLLADA
-version of some robots. Each shape is converted once, in the frame of its own file with the URDF's
-scale applied, and kept in the user's cache under the robot's name and the version of its data.
+A URDF may name COLLADA, STL or OBJ files or plain shapes. Rerun draws glTF, and refuses the COLLADA
+version of some robots. Each shape is converted once, in its file's frame and with the URDF's scale.
+The user's cache keeps it under the robot's name and the version of its data.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ class LinkMesh:
 
 
 def cache_folder(robot_name: str) -> Path:
-    """Where the converted meshes of a robot are kept."""
+    """Return the folder of a robot's converted meshes."""
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     version = importlib.metadata.version("example-robot-data")
     return Path(root) / "remote-wbc" / "meshes" / f"{robot_name}-{version}"
 
 
 def load_meshes(robot: Robot, *, cache: Path | None = None) -> tuple[LinkMesh, ...]:
-    """Visual shapes of a robot, converted or from the cache; `UserError` if a file is missing."""
+    """Return a robot's visual shapes, converted or cached; `UserError` if a file is missing."""
     folder = cache_folder(robot.name) if cache is None else cache
     # `package://example-robot-data/robots/…` is looked up beside the installed data package.
     packages = [str(robots_folder().parent.parent)]
@@ -74,13 +74,13 @@ def _converted(shape: pin.GeometryObject, cached: Path) -> bytes:
         temporary.write_bytes(glb)
         temporary.replace(cached)
     except OSError:
-        pass  # A read-only home costs a conversion at each start, nothing else.
+        pass  # A read-only home costs only a conversion at each start.
     return glb
 
 
 def to_glb(shape: pin.GeometryObject) -> bytes:
-    """A visual shape of Pinocchio's geometry as binary glTF."""
-    # Imported here: it takes as long as the rest, and what is in the cache has no need of it.
+    """Return a visual shape of Pinocchio's geometry as binary glTF."""
+    # Imported here: it loads as long as all else, and meshes from the cache do not need it.
     import trimesh
 
     plain = _plain_shape(shape.geometry)
@@ -96,7 +96,7 @@ def to_glb(shape: pin.GeometryObject) -> bytes:
 
 
 def _plain_shape(geometry: pin.coal.CollisionGeometry) -> trimesh.Trimesh | None:
-    """A box, sphere, cylinder or capsule as a mesh; None if the geometry comes from a file."""
+    """Return a box, sphere, cylinder or capsule as a mesh; None if it comes from a file."""
     import trimesh
 
     shape: trimesh.Trimesh | None = None

@@ -1,8 +1,8 @@
-"""What is plotted over time: each series, its unit and the telemetry columns it comes from.
+"""The series that are plotted over time: their units, and their telemetry columns.
 
-A 1 kHz signal is thinned to its least and its largest sample per `BUCKET_NS`, at the times they
-really had, so that a spike of one tick is never hidden. Absent values (no projector yet, a lost
-message, a joint hold without contact forces) are gaps.
+A 1 kHz signal is thinned to its least and its largest sample per `BUCKET_NS`, at their real times,
+so that a spike of one tick is never hidden. Absent values (no projector yet, a lost message, a
+joint hold without contact forces) are gaps.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from shared.wbc.contacts import ROWS_PER_FOOT, ROWS_PER_POINT, ContactMode
 from viewer.track import Colour
 
 BUCKET_NS = 10_000_000
-# Of a robot that falls both grow without bound and meaning; what came before should be seen.
+# In a fall both grow without bound and mean nothing. The plot should show the time before.
 MAX_COM_ERROR_CM = 30.0
 MAX_CONTACT_VIOLATION = 5.0  # m/s²
 
@@ -30,7 +30,7 @@ CYAN = (72, 202, 228)
 
 @dataclass(frozen=True)
 class Series:
-    """Lines of one entity: a name and a colour per line, and their values (n, lines) from rows."""
+    """The lines of one entity: a name and a colour for each, and values (n, lines) from rows."""
 
     path: str
     names: tuple[str, ...]
@@ -51,7 +51,7 @@ class LinkSeries:
 
 @dataclass(frozen=True)
 class Lane:
-    """Something that is in one of a few states at a time: their names and colours."""
+    """A quantity with a few states, one at a time: their names and colours."""
 
     path: str
     states: dict[str, Colour]
@@ -84,7 +84,7 @@ MODE_LANE = Lane(
 OVERRUN_PATH = "plots/compute/overrun"
 ACTIVE_SET_PATH = "plots/active_set"
 N_ACTIVE_ROWS = len(Foot) * ROWS_PER_FOOT
-# The feet are drawn apart by a few empty rows.
+# Empty rows between the two feet.
 _FEET_APART = 3
 ACTIVE_SET_HEIGHTS = np.arange(N_ACTIVE_ROWS) + _FEET_APART * (
     np.arange(N_ACTIVE_ROWS) // ROWS_PER_FOOT
@@ -101,10 +101,11 @@ ACTIVE_SET_COLOURS = tuple(
 
 
 def active_rows(time_ns: np.ndarray, active_set: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bars of the raster: instants [ns], and heights (n, 40) with NaN where a row is not active.
+    """Return the raster's bars: instants [ns], and heights (n, 40), NaN if a row is not active.
 
-    `active_set` are bit masks, negative for none. A row is drawn in a bucket if it is active in any
-    of its ticks, so that one tick is never hidden. A span of one mask is its two ends.
+    `active_set` holds bit masks, negative for none. A row is drawn in a bucket if it is active in
+    any of the bucket's ticks, so that one tick is never hidden. A span with one mask is given by
+    its two ends.
     """
     if not len(time_ns):
         return np.zeros(0, dtype=np.int64), np.zeros((0, N_ACTIVE_ROWS))
@@ -120,7 +121,7 @@ def active_rows(time_ns: np.ndarray, active_set: np.ndarray) -> tuple[np.ndarray
 
 
 def milliseconds(nanoseconds: np.ndarray) -> np.ndarray:
-    """Milliseconds, NaN where negative: a negative duration stands for an absent one."""
+    """Return milliseconds; NaN for a negative duration, which stands for an absent one."""
     return np.where(nanoseconds < 0, np.nan, nanoseconds * 1e-6)
 
 
@@ -174,12 +175,12 @@ SOLVE_SERIES = Series(
 
 
 def link_delay(schema: Schema, rows: np.ndarray) -> np.ndarray:
-    """Delay that messages had [ms], (n, 1); NaN where lost."""
+    """Return the delays of messages [ms], (n, 1); NaN for a lost message."""
     return milliseconds(schema.column(rows, "achieved_ns"))[:, None]
 
 
 def peak_rows(time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Rows that hold an extreme sample of any column of `values` (n, k) in its bucket, by time."""
+    """Return the rows with an extreme of a column of `values` (n, k) in a bucket, by time."""
     if not len(time_ns):
         return np.zeros(0, dtype=np.int64)
     bucket = time_ns // BUCKET_NS

@@ -1,10 +1,10 @@
-"""Where everything of the scene is, in the world frame, from one row of the robot's telemetry.
+"""The geometry of the scene in the world frame, from one row of the robot's telemetry.
 
     contact point p = world_from_sole · corner,    contact force = R_world_from_sole · f
     friction used = max(|f_x|, |f_y|) / μ f_z,     centre of pressure = Σ p F_z / Σ F_z
 
 The support polygon is the convex hull of the loaded soles' contact points, laid on the ground.
-Forces are those that the controller commands. Pure: no drawing, no I/O.
+All forces are the controller's commands. This module draws nothing and does no I/O.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from shared.robots import Foot, Robot
 from shared.robots.description import sole_frame_name
 from shared.wbc.contacts import CORNER_MARGIN, POINTS_PER_FOOT, ContactMode
 
-# A point that carries less has no direction of force to speak of [N].
+# At a point that carries less, the direction of the force means nothing [N].
 CARRYING = 5.0
 _PYRAMID = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, 1.0]])
 
@@ -34,13 +34,14 @@ class Placements:
 
 @dataclass(frozen=True)
 class Frame:
-    """The scene at one instant, world frame.
+    """The scene at one instant, in the world frame.
 
-    `joints` as asked for; `contact_points` (k, 3) [m] and `contact_forces` (k, 3) [N], k = 4 per
-    loaded foot; `friction_edges` (k, 4, 3) [N] are the edges of each point's friction pyramid up to
-    its normal force; `friction_used` (k,) is 1 on the pyramid, 0 in its middle and at points that
-    carry nothing; `centre_of_pressure` (3,) on the ground, NaN without forces; `support_polygon`
-    (m + 1, 3) [m], closed: its first point is repeated at the end.
+    `joints` are those of the `PoseModel`. `contact_points` (k, 3) [m] and `contact_forces` (k, 3)
+    [N] have k = 4 for each loaded foot. `friction_edges` (k, 4, 3) [N] are the edges of each
+    point's friction pyramid up to its normal force. `friction_used` (k,) is 1 on the pyramid, and 0
+    in its middle and at points without a load. `centre_of_pressure` (3,) is on the ground, NaN
+    without forces. `support_polygon` (m + 1, 3) [m] is closed: its first point is repeated at the
+    end.
     """
 
     joints: Placements
@@ -53,8 +54,9 @@ class Frame:
 
 
 class PoseModel:
-    """Forward kinematics of one robot for the scene, with the friction μ that its controller
-    reckons with. Not shared between threads.
+    """The forward kinematics of one robot for the scene. Not shared between threads.
+
+    `friction` is the μ that the robot's controller assumes.
     """
 
     def __init__(self, robot: Robot, joints: Sequence[int], *, friction: float) -> None:
@@ -66,13 +68,13 @@ class PoseModel:
         self._corners = {foot.side: foot.corners(CORNER_MARGIN) for foot in robot.description.feet}
 
     def joints(self, q: np.ndarray) -> Placements:
-        """The joints asked for at q (nq,)."""
+        """Return the placements of the joints at q (nq,)."""
         pin.framesForwardKinematics(self._model, self._data, q)
         placements = np.array([pin.SE3ToXYZQUAT(self._data.oMi[joint]) for joint in self._joints])
         return Placements(placements[:, :3], placements[:, 3:])
 
     def frame(self, q: np.ndarray, f: np.ndarray, mode: ContactMode) -> Frame:
-        """The scene at q (nq,) with the point forces f (24,) [N] in the sole frames."""
+        """Return the scene at q (nq,) with the point forces f (24,) [N] in the sole frames."""
         joints = self.joints(q)
         points, forces, edges, used = [], [], [], []
         for k, foot in zip(mode.feet_indices, mode.feet, strict=True):
@@ -96,7 +98,7 @@ class PoseModel:
         )
 
     def _friction_used(self, forces: np.ndarray) -> np.ndarray:
-        """Part of the friction that forces (n, 3) in a sole frame use; 0 where hardly loaded."""
+        """Return the used part of the friction for forces (n, 3) in a sole frame; 0 if small."""
         tangential = np.abs(forces[:, :2]).max(axis=1)
         allowed = self._friction * np.maximum(forces[:, 2], 0.0)
         carrying = np.linalg.norm(forces, axis=1) > CARRYING
@@ -112,12 +114,12 @@ def _centre_of_pressure(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def on_the_ground(points: np.ndarray) -> np.ndarray:
-    """Points (n, 2 or 3) moved along z to the ground, shape (n, 3)."""
+    """Return points (n, 2 or 3) moved along z to the ground, shape (n, 3)."""
     return np.column_stack([points[:, :2], np.zeros(len(points))])
 
 
 def convex_hull(points: np.ndarray) -> np.ndarray:
-    """Convex hull of points (n, 2), counter-clockwise and closed; Andrew's monotone chain."""
+    """Return the convex hull of points (n, 2), counter-clockwise and closed: Andrew's chain."""
     ordered = sorted({(float(x), float(y)) for x, y in points})
     lower = _chain(ordered)
     upper = _chain(ordered[::-1])
@@ -125,7 +127,7 @@ def convex_hull(points: np.ndarray) -> np.ndarray:
 
 
 def _chain(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The points that turn left all the way from the first to the last."""
+    """Return the points that turn left all the way from the first to the last."""
     chain: list[tuple[float, float]] = []
     for point in points:
         while len(chain) >= 2 and _turn(chain[-2], chain[-1], point) <= 0.0:
@@ -135,5 +137,5 @@ def _chain(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
-    """Positive when a → b → c turns left."""
+    """Return a positive number if a → b → c turns left."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

@@ -1,4 +1,4 @@
-"""Columns of values with their instants, sent to the entities of one run."""
+"""Send columns of values, with their instants, to the entities of one run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WALL_TIMELINE = "wall_time"
 
 
 class Recorder:
-    """The recording of a run, or of several, as the entities of one of them."""
+    """The part of a recording that holds the entities of one run."""
 
     def __init__(self, recording: rr.RecordingStream, track: Track) -> None:
         self.recording = recording
@@ -22,7 +22,7 @@ class Recorder:
         self._states: dict[str, int] = {}
 
     def send(self, path: str, instants: Instants, columns: rr.ComponentColumnList) -> None:
-        """One row of `columns` per instant."""
+        """Send one row of `columns` for each instant."""
         self.recording.send_columns(
             path,
             [
@@ -33,20 +33,20 @@ class Recorder:
         )
 
     def peaks(self, path: str, instants: Instants, values: np.ndarray) -> None:
-        """Lines (n, k) of a plot, thinned to what can be seen."""
+        """Send lines (n, k) of a plot, thinned to their peaks."""
         kept = peak_rows(instants.task_ns, values)
         if len(kept):
             self.lines(path, instants[kept], values[kept])
 
     def lines(self, path: str, instants: Instants, values: np.ndarray) -> None:
-        """Lines (n, k) of a plot as they are."""
+        """Send lines (n, k) of a plot with every sample."""
         scalars = rr.Scalars.columns(scalars=values.ravel())
         self.send(
             self.track.plot(path), instants, scalars.partition([values.shape[1]] * len(values))
         )
 
     def lane(self, path: str, instants: Instants, values: np.ndarray, names: list[str]) -> None:
-        """A lane's state per row (n,), as an index into `names`; logged where it changes only."""
+        """Send the changes of a lane from its state in each row (n,), an index into `names`."""
         if not len(values):
             return
         before = np.append(self._states.get(path, values[0] - 1), values[:-1])
@@ -55,11 +55,11 @@ class Recorder:
         self.states(path, instants[changed], [_named(names, int(values[k])) for k in changed])
 
     def states(self, path: str, instants: Instants, states: list[str]) -> None:
-        """Changes of a lane, as they are."""
+        """Send the changes of a lane."""
         if states:
             self.send(self.track.plot(path), instants, rr.StateChange.columns(state=states))
 
 
 def _named(names: list[str], index: int) -> str:
-    """A number where this viewer knows no name."""
+    """Return the name of a state, or its number if this viewer knows no name for it."""
     return names[index] if 0 <= index < len(names) else f"number {index}"

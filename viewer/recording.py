@@ -1,6 +1,6 @@
-"""Recordings of finished runs: of one alone, or of several drawn side by side.
+"""Recordings of finished runs: one alone, or several side by side.
 
-`record` leaves `recording.rrd` in a run's folder, opened by `rerun recording.rrd`.
+`record` writes `recording.rrd` into a run's folder. `rerun recording.rrd` opens it.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from viewer.scene import Scene
 from viewer.track import SIDE_BY_SIDE, Track
 
 APPLICATION = "remote-wbc"
-# Of the runs that are compared, in their order.
+# The colours of compared runs, in their order.
 RUN_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, YELLOW, RED)
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """What `record` wrote: the file, its rows of all kinds and its size [bytes]."""
+    """The result of `record`: the file, its number of rows of all kinds, its size [bytes]."""
 
     path: Path
     rows: int
@@ -39,14 +39,14 @@ class Recorded:
 
 
 def new_recording(name: str) -> rr.RecordingStream:
-    """A recording stream under the project's name, buffered until it gets a sink."""
+    """Return a recording stream under the project's name, buffered until it gets a sink."""
     recording = rr.RecordingStream(APPLICATION, recording_id=uuid4())
     recording.send_recording_name(name)
     return recording
 
 
 def record(path: Path) -> Recorded:
-    """Build `path`/recording.rrd; `UserError` if the folder is not that of a run."""
+    """Build `path`/recording.rrd; raise `UserError` if `path` is not the folder of a run."""
     run = read_run(path)
     file = path / "recording.rrd"
     save([run], file)
@@ -54,7 +54,7 @@ def record(path: Path) -> Recorded:
 
 
 def save(runs: Sequence[RunFolder], file: Path, *, picture: bool = False) -> None:
-    """Write a recording of `runs`; `UserError` if it cannot be written, and no file is left."""
+    """Write a recording of `runs`; raise `UserError` and leave no file if that fails."""
     partial = file.with_name(f"{file.name}.partial")
     recording = new_recording(title(runs))
     try:
@@ -70,19 +70,19 @@ def save(runs: Sequence[RunFolder], file: Path, *, picture: bool = False) -> Non
 
 
 def title(runs: Sequence[RunFolder]) -> str:
-    """What the recording is called."""
+    """Return the name of the recording."""
     return " and ".join(run.name for run in runs)
 
 
 def blueprint(runs: Sequence[RunFolder], *, picture: bool = False) -> rrb.Blueprint:
-    """The layout for one run, or for several."""
+    """Return the layout for one run, or for several."""
     if len(runs) == 1:
         return layout(runs[0].config, live=False, picture=picture)
     return compared_layout([run.config for run in runs], picture=picture)
 
 
 def log_runs(recording: rr.RecordingStream, runs: Sequence[RunFolder]) -> None:
-    """Draw all of them, one beside the other from right to left."""
+    """Draw all runs, side by side from right to left."""
     tracks = [Track()] if len(runs) == 1 else _tracks(runs)
     for run, track in zip(runs, tracks, strict=True):
         robot = load_robot(run.config.robot.name)
@@ -95,7 +95,7 @@ def log_runs(recording: rr.RecordingStream, runs: Sequence[RunFolder]) -> None:
 
 
 def _tracks(runs: Sequence[RunFolder]) -> list[Track]:
-    """One beside the other in the order given, named by what differs between them."""
+    """Return tracks side by side in the given order, named by folder, or by path if needed."""
     if len(runs) > len(RUN_COLOURS):
         raise UserError(f"expected at most {len(RUN_COLOURS)} runs to compare, got {len(runs)}")
     names = [run.name for run in runs]
@@ -111,7 +111,7 @@ def _tracks(runs: Sequence[RunFolder]) -> list[Track]:
 
 
 def _log_sign(recording: rr.RecordingStream, run: RunFolder, track: Track) -> None:
-    """The run's name on the floor before its robot, and how it ended."""
+    """Draw the run's name and outcome on the floor before its robot."""
     fell = _fell(run.path)
     ending = f", fell at {run.duration:.2f} s" if fell else ""
     sign = rr.Points3D(

@@ -1,4 +1,4 @@
-"""rerun's own executable as a child of this process, which it dies with however this one ends."""
+"""Run rerun's executable as a child process, which ends with this process in every case."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class RerunProcess:
         return self._process.poll() is None
 
     def wait(self, ready: Callable[[float], bool], *, timeout: float = START_TIMEOUT) -> str | None:
-        """Until `ready`, called with the time it began; else what it said before it failed."""
+        """Wait until `ready(start time)` is true; if that fails, return rerun's last error."""
         started = time.monotonic()
         while not ready(started):
             if not self.running or time.monotonic() - started > timeout:
@@ -52,7 +52,7 @@ class RerunProcess:
         return None
 
     def stop(self) -> None:
-        """End it; may be called again."""
+        """End the process. May be called again."""
         self._process.terminate()
         try:
             self._process.wait(timeout=0.5)
@@ -70,7 +70,7 @@ class RerunProcess:
 
 
 def rerun_binary() -> Path:
-    """rerun's own executable; its `rerun` command is a wrapper that would leave it behind."""
+    """Return rerun's executable. When the command `rerun` is ended, it leaves that one behind."""
     spec = importlib.util.find_spec("rerun_cli")
     folder = Path(spec.origin).parent if spec is not None and spec.origin else Path()
     for name in _BINARIES:
@@ -80,7 +80,7 @@ def rerun_binary() -> Path:
 
 
 def free_port(preferred: int = 0) -> int:
-    """`preferred` if it is free on the loopback interface, else any port that is."""
+    """Return `preferred` if it is free on the loopback interface, otherwise any free port."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -1,12 +1,12 @@
-"""The folder of a run, read: its configuration and the tables that there are.
+"""Read the folder of a run: its configuration and its tables.
 
     config.toml         the run's configuration, which names the robot
     telemetry.parquet   the robot's rows
     link.parquet        the link's rows, if there
     edge.parquet        the edge's rows, if there
 
-A run that was played in lockstep and one that was live have the same ones. An hour of the robot's
-rows does not fit into memory: they are read in chunks.
+Lockstep and live runs have the same files. An hour of the robot's rows does not fit into memory, so
+rows are read in chunks.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ _OTHERS = ("link.parquet", "edge.parquet")
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A run: its `tables` of telemetry, the robot's first, how many rows they have together, and
-    how long its task lasted [s], zero if it never began.
+    """A run: its settings, and its `tables` of telemetry, the robot's first.
+
+    `rows` is the number of rows in all tables. `duration` is the length of the task [s], zero if it
+    never began.
     """
 
     path: Path
@@ -47,14 +49,14 @@ class RunFolder:
         return self.path.resolve().name
 
     def chunks(self) -> Iterator[tuple[Schema, np.ndarray]]:
-        """The rows, table after table; `UserError` if they cannot be read."""
+        """Yield the rows, table after table; raise `UserError` if they cannot be read."""
         for table in self.tables:
             with _reading(table):
                 yield from parquet_chunks(table)
 
 
 def read_run(path: Path) -> RunFolder:
-    """`UserError` in one line if this is not the folder of a run, or of another version's."""
+    """Read a run; raise `UserError` if this is no run's folder, or one of another version."""
     if not path.is_dir():
         raise UserError(
             f"expected the folder of a run, as in runs/…, or as `wbc trial --out "

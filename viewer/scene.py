@@ -1,8 +1,8 @@
-"""From batches of telemetry rows to a rerun recording: the robot in 3D, and the plots.
+"""Draw telemetry rows into a rerun recording: the robot in 3D, and the plots.
 
-Everything is on two timelines, the task time and the time on the robot's clock. The 3D scene is
-drawn at 50 Hz; plots keep the peaks of all rows (`viewer.plots`). While the robot waits for the
-edge, task time is −1 ns and only its newest pose is drawn.
+All data are on two timelines, the task time and the robot's clock. The 3D scene is drawn at 50 Hz;
+plots keep the peaks of all rows (`viewer.plots`). While the robot waits for the edge, task time is
+−1 ns and only its newest pose is drawn.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from viewer.track import Track
 from viewer.world import World
 
 FRAME_NS = 20_000_000
-# Messages that came before the robot's first row; more are forgotten.
+# Blocks of messages kept from before the robot's first row; older ones are dropped.
 MAX_WAITING_BLOCKS = 64
 _ALONE = Track()
 
@@ -69,7 +69,7 @@ class Scene:
         self._tick_columns = _columns(tick_schema(nq=robot.model.nq, nv=robot.model.nv))
 
     def log_rows(self, schema: Schema, rows: np.ndarray) -> None:
-        """Draw rows of any of the three kinds; `UserError` if they are of none for this robot."""
+        """Draw rows of any of the three kinds; raise `UserError` if they do not fit this robot."""
         columns = _columns(schema)
         if not len(rows):
             return
@@ -83,14 +83,15 @@ class Scene:
             self._log_messages(*self._waiting.popleft())
 
     def look_for_silence(self, *, patience_ns: int) -> None:
-        """Mark the uplink as stalled if the robot ran on for so long after its last message came
-        through: what is held back for ever never gets a row.
+        """Mark an outage of the uplink if no message passed it in the robot's last `patience_ns`.
+
+        A message that the link holds for ever never gets a row, so rows alone do not show it.
         """
         uplink, downlink = self._lanes
         stalled = uplink.silent(self._last_wall_ns, OUTAGE, patience_ns=patience_ns)
         if stalled:
             self._log_link_states(0, stalled)
-            # Without states the edge says nothing, whether or not its direction would pass.
+            # Without states the edge sends nothing, so the downlink shows no outage.
             self._log_link_states(1, downlink.silent(self._last_wall_ns, SILENT, patience_ns=0))
 
     def _log_ticks(self, schema: Schema, rows: np.ndarray) -> None:
@@ -121,7 +122,7 @@ class Scene:
         self._recorder.lane(SOURCE_LANE.path, instants, sources, list(SOURCE_LANE.states))
         self._recorder.lane(MODE_LANE.path, instants, modes, list(MODE_NAMES.values()))
         overruns = schema.column(rows, "overruns")
-        # The first row's are of the wait, or of before this viewer was started.
+        # Overruns in the first row come from the wait, or from before this viewer was started.
         before = overruns[0] if self._overruns is None else self._overruns
         overrun = np.diff(overruns, prepend=before) > 0
         self._overruns = float(overruns[-1])

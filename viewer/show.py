@@ -1,4 +1,4 @@
-"""Finished runs on a screen: one, or several side by side, until the window is closed."""
+"""Show finished runs on a screen, one or several side by side, until the window is closed."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ def show(
     stopped: Callable[[], bool],
     say: Callable[[str], None],
 ) -> None:
-    """Show runs until `stopped` or the window is closed; `auto` is a browser without a screen.
+    """Show runs until `stopped` or the window is closed.
 
-    `UserError` if one of them is no run, or nothing can be opened.
+    `auto` opens a window, or a browser if there is no screen. Raise `UserError` if a path is no
+    run, or if nothing can be opened.
     """
     runs = [read_run(path) for path in paths]
     recording = new_recording(title(runs))

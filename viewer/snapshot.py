@@ -1,7 +1,7 @@
-"""Pictures and short animations of runs, without a screen.
+"""Make pictures and short animations of runs, without a screen.
 
-They are what the view shows: rerun draws the same recording by the same layout into memory, on any
-graphics adapter that speaks Vulkan; Mesa's software adapter will do.
+They show the same as the view: rerun draws the same recording with the same layout into memory. It
+needs a graphics adapter with Vulkan; Mesa's software adapter suffices.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from viewer.recording import save, title
 from viewer.rerun_process import HOST, RerunProcess, free_port
 from viewer.run_folder import RunFolder, read_run
 
-# Of the window, in points; rerun leaves an empty bar where its top panel was.
+# Size of the window in points. rerun leaves an empty bar in place of its top panel.
 SIZE = (1360, 850)
 _EMPTY_BAR = 37
 ANIMATION_WIDTH = 960
@@ -35,13 +35,13 @@ _LOAD_TIMEOUT = 60.0
 _SAME = 3
 _ATTEMPTS = 5
 _GRAPHICS = (
-    "snapshot: rerun finds nothing to draw with ({reason}); install a graphics driver with Vulkan, "
+    "snapshot: rerun finds no graphics adapter ({reason}); install a graphics driver with Vulkan, "
     "or Mesa's software one (on Debian: apt install mesa-vulkan-drivers)"
 )
 
 
 def picture(paths: Sequence[Path], out: Path, *, at: float | None = None) -> None:
-    """One picture of one run or several at `at` [s] of the task, by default the end."""
+    """Make a picture of one run or several at `at` [s] of the task, by default the end."""
     if out.suffix != ".png":
         raise UserError(f"--out: expected a name ending in .png, got {out}")
     runs = [read_run(path) for path in paths]
@@ -56,7 +56,7 @@ def picture(paths: Sequence[Path], out: Path, *, at: float | None = None) -> Non
 def animation(
     paths: Sequence[Path], out: Path, *, begin: float, end: float | None, speed: float
 ) -> None:
-    """An animation from `begin` to `end` [s] of the task, `speed` times as fast as it was."""
+    """Make an animation from `begin` to `end` [s] of the task, at `speed` times real time."""
     if out.suffix not in ANIMATIONS:
         raise UserError(
             f"--animation: expected a name ending in {' or '.join(ANIMATIONS)}, got {out}"
@@ -82,7 +82,7 @@ def animation(
     frame_ms = round(1e3 / FRAMES_PER_SECOND)
     options: dict[str, Any] = {"save_all": True, "duration": frame_ms, "loop": 0}
     if out.suffix == ".gif":
-        # One palette, without dithering: what does not move then costs nothing.
+        # One palette without dithering: parts that do not move then cost nothing.
         palette = _palette(frames[len(frames) // 2])
         frames = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames]
     else:
@@ -91,7 +91,7 @@ def animation(
 
 
 def _duration(runs: Sequence[RunFolder]) -> float:
-    """Of the longest run [s]; `UserError` if none of them has anything to show."""
+    """Return the duration of the longest run [s]; raise `UserError` if no task began."""
     duration = max(run.duration for run in runs)
     if duration <= 0.0:
         raise UserError(f"snapshot: the task of {title(runs)} never began; nothing to draw")
@@ -99,7 +99,7 @@ def _duration(runs: Sequence[RunFolder]) -> float:
 
 
 def _palette(frame: Image.Image) -> Image.Image:
-    """The colours of a frame, mostly greys, and those of lines and arrows, bright and shaded."""
+    """Return a palette: the colours of a frame, and of lines and arrows, bright and shaded."""
     lines = [
         round(shade * part)
         for colour in (RED, GREEN, BLUE, ORANGE, YELLOW, PURPLE, CYAN)
@@ -113,7 +113,7 @@ def _palette(frame: Image.Image) -> Image.Image:
 
 
 def _draw(runs: Sequence[RunFolder], times: Sequence[float]) -> Iterator[Image.Image]:
-    """The view at each of these times [s]; `UserError` if nothing here can draw it."""
+    """Yield the view at each of these times [s]; raise `UserError` if it cannot be drawn."""
     with tempfile.TemporaryDirectory(prefix="snapshot-") as folder:
         file, shot = Path(folder) / "recording.rrd", Path(folder) / "shot.png"
         save(runs, file, picture=True)
@@ -140,7 +140,7 @@ def _draw(runs: Sequence[RunFolder], times: Sequence[float]) -> Iterator[Image.I
 
 
 def _loaded(url: str, until: float) -> bool:
-    """Whether the viewer at `url` answers and has the recording until then [s]."""
+    """Return whether the viewer at `url` has the recording up to the time `until` [s]."""
     try:
         recordings = ViewerClient(url).get_state().recordings
     except (ConnectionError, TimeoutError, RuntimeError):
@@ -156,7 +156,7 @@ def _loaded(url: str, until: float) -> bool:
 
 
 def _settle(client: ViewerClient, at: float, shot: Path) -> None:
-    """Wait until axes and colours no longer move: as many pictures in a row are the same."""
+    """Wait until axes and colours no longer move: `_SAME` pictures in a row are equal."""
     same, before = 0, b""
     deadline = time.monotonic() + _LOAD_TIMEOUT
     while same < _SAME and time.monotonic() < deadline:
@@ -166,7 +166,7 @@ def _settle(client: ViewerClient, at: float, shot: Path) -> None:
 
 
 def _shot(client: ViewerClient, at: float, shot: Path) -> bytes:
-    """The view at `at` [s] as PNG; `UserError` if rerun does not answer."""
+    """Return the view at `at` [s] as PNG; raise `UserError` if rerun does not answer."""
     for _ in range(_ATTEMPTS):
         try:
             client.set_time(TIMELINE, duration=at, play_state="paused")

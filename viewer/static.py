@@ -1,6 +1,6 @@
-"""What of a run never changes: meshes, footsteps, colours, sizes, names and units.
+"""The static part of a recording: meshes, footsteps, colours, sizes, names and units.
 
-It is logged once, without a time, and kept by every server and file however long the run.
+It is logged once, without a time. Servers and files keep it for the whole run.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from viewer.recorder import Recorder
 from viewer.track import Colour
 
 GHOST_COLOUR = (90, 160, 255, 64)
-# So that it is inside the robot where the two are at the same place.
+# The ghost is smaller, so that it hides inside the robot where both are at the same place.
 GHOST_SCALE = 0.985
 _FOOT_COLOURS: dict[Foot, Colour] = {Foot.LEFT: ORANGE, Foot.RIGHT: CYAN}
-# Above the ground, which has a grid at zero, and below what moves [m].
+# Above the ground, which has a grid at zero, and below all moving parts [m].
 _PRINT_HEIGHT = 0.001
 _SWING_POINTS = 20
 
 
 def log_styles(recorder: Recorder) -> None:
-    """Colours, sizes and names of everything that will be drawn or plotted."""
+    """Log the colours, sizes and names of everything that will be drawn or plotted."""
     recording, track = recorder.recording, recorder.track
     recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if not track.alone:
@@ -86,7 +86,7 @@ def log_robot(
     *,
     ghost: bool = False,
 ) -> None:
-    """The meshes, translucent for a ghost; `frames` names the frame of each joint that has one."""
+    """Log the meshes, translucent for a ghost; `frames` names the frame of each joint."""
     folder = recorder.track.world("ghost" if ghost else "robot")
     for mesh in meshes:
         placement = mesh.joint_from_mesh
@@ -110,7 +110,7 @@ def log_robot(
 
 
 def log_footsteps(recorder: Recorder, robot: Robot, motion: Motion, *, swing_height: float) -> None:
-    """The planned soles of a walk as outlines, and the way of the swing foot between them."""
+    """Log the planned soles of a walk as outlines, and the swing foot's paths between them."""
     if not isinstance(motion, Walking):
         return
     soles = {foot.side: foot.corners()[[0, 1, 3, 2, 0], :2] for foot in robot.description.feet}

@@ -2,8 +2,8 @@
 
 The robot's rows carry both; the link's and the edge's rows carry only the machine's monotonic
 clock, which is the same one. Between two rows of the robot the task time of a message is
-interpolated, outside them it runs on at the rate of the clock. Of a run in lockstep the clock is
-the simulated one, and both axes agree.
+interpolated; outside them it runs on at the rate of the clock. In lockstep the clock is the
+simulated one, and both axes agree.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Instants:
         return Instants(self.task_ns[chosen], self.wall_ns[chosen])
 
     def repeated(self, times: int) -> Instants:
-        """Each of them so many times."""
+        """Return the instants, each repeated `times` times."""
         return Instants(np.repeat(self.task_ns, times), np.repeat(self.wall_ns, times))
 
 
@@ -43,23 +43,26 @@ class TaskTime:
 
     @property
     def known(self) -> bool:
-        """Whether the task has begun."""
+        """Return whether the task has begun."""
         return len(self._wall_ns) > 0
 
     def instants(self, wall_ns: np.ndarray, time_ns: np.ndarray) -> Instants:
-        """Those of rows of the robot, from both clocks; task time is −1 before the task begins."""
+        """Return the instants of the robot's rows; task time is −1 before the task begins."""
         if self._first_wall_ns is None:
             self._first_wall_ns = int(wall_ns[0])
         return Instants(time_ns, wall_ns - self._first_wall_ns)
 
     def learn(self, wall_ns: np.ndarray, time_ns: np.ndarray, *, every: int = 50) -> None:
-        """Take a pair of clocks out of every `every` rows of the running robot, and the last."""
+        """Keep a pair of clocks from every `every` rows of the running robot, and the last."""
         kept = np.unique(np.append(np.arange(0, len(wall_ns), every), len(wall_ns) - 1))
         self._wall_ns = np.append(self._wall_ns, wall_ns[kept])[-MAX_ANCHORS:]
         self._time_ns = np.append(self._time_ns, time_ns[kept])[-MAX_ANCHORS:]
 
     def from_wall(self, wall_ns: np.ndarray) -> Instants:
-        """Instants of the clock [ns] once the task has begun; task time is negative before that."""
+        """Return instants for times of the clock [ns]; task time is negative before the task.
+
+        Call this once the task has begun.
+        """
         first, last = self._wall_ns[0], self._wall_ns[-1]
         inside = np.clip(wall_ns, first, last)
         interpolated = np.interp(inside - first, self._wall_ns - first, self._time_ns)

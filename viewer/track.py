@@ -1,4 +1,4 @@
-"""Where the entities of a run are in the recording: of one shown alone, or of one among several.
+"""The paths of a run's entities in a recording, alone or among several runs.
 
 alone       world/com                  plots/com_error
 compared    world/<run>/com            plots/com_error/<run>
@@ -12,7 +12,7 @@ import rerun as rr
 
 Colour = tuple[int, int, int]
 
-# Robots side by side stand this far apart [m].
+# Distance between robots side by side [m].
 SIDE_BY_SIDE = 1.2
 
 
@@ -39,15 +39,15 @@ class Track:
         return f"tf#/{self.root}"
 
     def world(self, entity: str) -> str:
-        """Path of something in the scene."""
+        """Return the path of an entity in the scene."""
         return f"{self.root}/{entity}"
 
     def plot(self, path: str) -> str:
-        """Path of a series or of a lane."""
+        """Return the path of a series or of a lane."""
         return path if self.alone else f"{path}/{self._part}"
 
     def line_name(self, name: str) -> str:
-        """What a line is called in a legend."""
+        """Return the name of a line in a legend."""
         return name if self.alone else self.name
 
     @property

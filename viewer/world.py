@@ -27,18 +27,18 @@ from viewer.task_time import Instants
 # A contact point carries tens to hundreds of newtons, a push about a hundred.
 NEWTONS_PER_METRE = 400.0
 PUSH_NEWTONS_PER_METRE = 200.0
-# A fall's are boundless: no arrow is longer than that of this force [N].
+# In a fall, forces grow without bound: no arrow is longer than that of this force [N].
 MAX_FORCE = 320.0
 # The arrow of a push ends this far from the base, outside the body [m].
 PUSH_CLEARANCE = 0.2
-# What lies on the ground is drawn this far above it, which has a grid at zero [m].
+# Flat marks are drawn this far above the ground, which has a grid at zero [m].
 ABOVE_GROUND = np.array([0.0, 0.0, 0.002])
 # A force is at its limit when it uses this part of its friction.
 AT_LIMIT = 0.99
 
 
 class World:
-    """Draws the scene of one robot's run; static things at once."""
+    """Draws the scene of one robot's run; static parts at once."""
 
     def __init__(
         self, recorder: Recorder, robot: Robot, config: RunConfig, meshes: Sequence[LinkMesh]
@@ -48,7 +48,7 @@ class World:
         joints = sorted({1, *(mesh.joint for mesh in meshes)})
         self._pose = PoseModel(robot, joints, friction=config.wbc.friction)
         motion = make_motion(robot, config)
-        # Side by side, ghosts would hide what differs.
+        # Side by side, ghosts would hide the differences.
         self._ghost = Ghost(robot, motion) if track.alone else None
         of_robot, of_ghost = (
             {joint: f"{track.root}/{what}/{robot.model.names[joint]}" for joint in joints}
@@ -62,7 +62,7 @@ class World:
             log_footsteps(recorder, robot, motion, swing_height=config.walk.swing_height)
 
     def log(self, schema: Schema, rows: np.ndarray, instants: Instants) -> None:
-        """Draw every one of these rows of the robot."""
+        """Draw each of these rows of the robot."""
         modes = schema.column(rows, "mode").astype(int)
         poses = zip(schema.column(rows, "q"), schema.column(rows, "f"), modes, strict=True)
         frames = [self._pose.frame(q, f, ContactMode(mode)) for q, f, mode in poses]
@@ -143,7 +143,7 @@ class World:
         self._send("centre_of_pressure", instants, marks.partition(known.astype(int)))
 
     def _log_push(self, push: np.ndarray, frames: list[Frame], instants: Instants) -> None:
-        """An arrow towards the base, with its force in newtons; none when nothing pushes."""
+        """Draw a push as an arrow towards the base with its force [N]; without one, no arrow."""
         size = np.linalg.norm(push, axis=1)
         pushed = size > 0.0
         base = np.array([frame.joints.translation[0] for frame in frames])
