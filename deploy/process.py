@@ -1,4 +1,4 @@
-"""A child process with a process group, which is told to end when its parent ends."""
+"""A child process with a separate process group. It gets a signal to end when its parent ends."""
 
 from __future__ import annotations
 

@@ -255,7 +255,7 @@ class Supervisor:
             self._ended.put_nowait((service, child.process.returncode))
 
     async def _end(self, child: _Child) -> None:
-        """Wait until a process that was told to end has ended, then end the rest of its group."""
+        """Wait until a process ends that has a signal to end; then end the rest of its group."""
         seconds = child.launch.service.stop_seconds
         try:
             await asyncio.wait_for(child.process.wait(), seconds)

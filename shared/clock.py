@@ -12,10 +12,10 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Anything that tells the time."""
+    """A source of time."""
 
     def now_ns(self) -> int:
-        """Time since an arbitrary origin [ns]; never goes back."""
+        """Return the time since an arbitrary origin [ns]. It never goes back."""
         ...
 
 

@@ -1,7 +1,8 @@
-"""Every error this project raises on purpose.
+"""Every error that this project raises on purpose.
 
-A user's mistake is a `UserError`: entry points print it as one line and exit 2, no traceback.
-A message that fails a check is a `MessageRefused`: it is counted under its reason and dropped.
+A user's mistake is a `UserError`. Entry points print it as one line, without a traceback, and exit
+with code 2. A message that fails a check is a `MessageRefused`. It is counted under its reason and
+dropped.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ class LinkError(UserError):
 
 
 class MessageRefused(Exception):
-    """A received message failed a check; `reason` is the name it is counted under."""
+    """A received message failed a check; `reason` is the name under which it is counted."""
 
     def __init__(self, reason: str, detail: str = "") -> None:
         super().__init__(f"{reason}: {detail}" if detail else reason)

@@ -26,7 +26,7 @@ from shared.wbc.reference import Motion, Reference
 # Largest error of CoM and soles, too small to be seen [m, rad]; most steps towards it.
 TOLERANCE = 1e-4
 MAX_STEPS = 8
-# Keeps a stretched leg from asking for infinite joint angles.
+# Damping: without it, a stretched leg leads to infinite joint angles.
 _DAMPING = 1e-6
 
 

@@ -19,7 +19,7 @@ from shared.wire.channels import LINK_KEY, SOLVES_KEY, TICKS_KEY
 
 # About six seconds of a run, at most about 30 MB.
 QUEUE_BLOCKS = 256
-# One attempt to connect; a stop request is seen between two of them.
+# Length of an attempt to connect; a stop request is seen between two attempts.
 ATTEMPT_MS = 500
 
 

@@ -25,9 +25,9 @@ from viewer.meshes import load_meshes
 from viewer.recording import new_recording
 from viewer.scene import Scene
 
-# The control loops on the same machine come first.
+# The view yields to the control loops on the same machine.
 NICENESS = 10
-# Blocks of the robot come at this rate [s].
+# The period of the robot's blocks [s].
 DRAW_PERIOD = 0.1
 # Rows of the link may come this much later than the robot's rows of the same time.
 PATIENCE_NS = 500_000_000

@@ -25,7 +25,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 class RerunProcess:
-    """One rerun, listening on the loopback interface only."""
+    """A rerun process, which listens on the loopback interface only."""
 
     def __init__(self, *arguments: str) -> None:
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  (until `stop`)

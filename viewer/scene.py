@@ -61,7 +61,7 @@ class Scene:
         self._world = World(self._recorder, robot, config, meshes)
         self._task_time = TaskTime()
         self._waiting: deque[tuple[Schema, np.ndarray]] = deque(maxlen=MAX_WAITING_BLOCKS)
-        # The robot sends all the time; the edge may have nothing to say.
+        # The robot sends all the time; the edge may have nothing to send.
         self._lanes = [LinkLane(steady=True), LinkLane()]
         self._last_frame: int | None = None
         self._last_wall_ns = 0

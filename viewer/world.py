@@ -24,7 +24,7 @@ from viewer.recorder import Recorder
 from viewer.static import log_footsteps, log_robot, log_styles
 from viewer.task_time import Instants
 
-# A contact point carries tens to hundreds of newtons, a push about a hundred.
+# Scales of arrows: a contact point carries tens to hundreds of newtons, a push is about 100 N.
 NEWTONS_PER_METRE = 400.0
 PUSH_NEWTONS_PER_METRE = 200.0
 # In a fall, forces grow without bound: no arrow is longer than that of this force [N].

@@ -1,1 +1,1 @@
-"""A run in lines on a terminal."""
+"""Print a run as lines on a terminal."""

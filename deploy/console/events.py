@@ -26,7 +26,7 @@ _AXES = "xyz"
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened, and the service it happened to."""
+    """An event in words, and the name of its service."""
 
     name: str
     text: str

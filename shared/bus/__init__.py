@@ -1,1 +1,1 @@
-"""Bytes from one node to another: a protocol, an in-process bus for lockstep, and Zenoh."""
+"""Transport of bytes between nodes: an interface, an in-process bus for lockstep, and Zenoh."""

@@ -70,7 +70,7 @@ def new_session() -> int:
 class ReceptionCounter:
     """Received and lost messages of one key, by the sequence numbers of each publisher.
 
-    A message that another one overtook is not lost; a gap that was never filled is.
+    A message that arrives out of order is not lost; a number that never arrives is.
     """
 
     def __init__(self) -> None:
@@ -144,12 +144,12 @@ class Inbox:
         return taken
 
     def wait(self, timeout_ns: int) -> bool:
-        """Wait for an arrival; False if none came in time."""
+        """Wait for an arrival; return False if none came in time."""
         return self._arrived.wait(timeout_ns * 1e-9)
 
 
 class RefusalCounter(Counter[str]):
-    """Refused messages by the name of the check that failed."""
+    """Counts of refused messages, by the name of the check that failed."""
 
     @property
     def total_refused(self) -> int:

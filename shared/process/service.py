@@ -139,7 +139,7 @@ class ServiceLog:
         self.rows = RowLog(schema, path=path, publish=publish, at_most=_MAX_ROWS)
 
     def row(self) -> np.ndarray:
-        """The next row to fill."""
+        """Return the next row to fill."""
         return self.rows.row()
 
     def finish(self, report: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:

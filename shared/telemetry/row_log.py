@@ -55,7 +55,7 @@ class RowLog:
             self._thread.start()
 
     def row(self) -> np.ndarray:
-        """The next row, shape (schema.width,), zeroed; fill it before the next call."""
+        """Return the next row, shape (schema.width,), zeroed; fill it before the next call."""
         if self._used == BLOCK_ROWS:
             self._hand_over()
         self._used += 1
@@ -75,7 +75,7 @@ class RowLog:
             self._file = None
 
     def rows(self) -> np.ndarray:
-        """All rows of a closed log, shape (n, schema.width); memory-mapped when on file."""
+        """Return all rows of a closed log, shape (n, schema.width); memory-mapped from a file."""
         if self.path is None:
             return np.concatenate(self._kept) if self._kept else np.zeros((0, self.schema.width))
         width = self.schema.width
