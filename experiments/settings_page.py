@@ -1,4 +1,4 @@
-"""Writes the tables of all settings into `docs/configuration.md`: `./wbc settings`."""
+"""Write the tables of all settings into `docs/configuration.md`: `./wbc settings`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plays one trial from the command line, with the files and exit codes of a live run."""
+"""Play one trial from the command line, with the files and exit codes of a live run."""
 
 from __future__ import annotations
 

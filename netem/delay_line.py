@@ -54,7 +54,7 @@ def make_lines(
 
 
 class DelayLine(Generic[Item]):
-    """Delays items by a profile; see the module. `lost` counts the items that the link loses."""
+    """One direction that delays items by a profile. `lost` counts the items that it loses."""
 
     def __init__(
         self,

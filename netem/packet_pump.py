@@ -1,4 +1,4 @@
-"""Moves IP packets between the two ends of a link, each after the delay at its sending time.
+"""Move IP packets between the two ends of a link, each after the delay at its sending time.
 
 This shim works below the transport: it sees packets, not messages. Fragmentation, loss of one
 fragment, retransmission, head-of-line blocking and full queues are therefore real. The sending time

@@ -1,4 +1,4 @@
-"""Emulates the link below the transport: `./wbc netem packets factory/003`, as root.
+"""Emulate the link below the transport: `./wbc netem packets factory/003`, as root.
 
 Makes two network namespaces and moves every IP packet from one to the other with the profile's
 delay. Programs started in them (`ip netns exec …`) have this link between them, with the fragments,

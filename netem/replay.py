@@ -1,4 +1,4 @@
-"""Runs the shim as a process: `./wbc netem replay factory/003 --listen … --connect …`.
+"""Run the shim as a process: `./wbc netem replay factory/003 --listen … --connect …`.
 
 The robot dials `--listen`. The shim dials the edge at `--connect`. Key expressions are the same on
 both sides, so a run without the shim differs in one endpoint only.

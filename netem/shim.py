@@ -39,7 +39,7 @@ class Sides:
 
 
 class Shim:
-    """Delays messages both ways. `receive` is given to the buses, `run` to a thread.
+    """A shim that delays messages both ways. `receive` is given to the buses, `run` to a thread.
 
     `row` gives the next row of `LINK_SCHEMA` to fill. `clock` is the identity of this machine's
     clock in envelopes; with 0 the shim uses no stamp. For the last `spin_ns` before a message is

@@ -57,7 +57,7 @@ def claims(results: Results) -> list[Claim]:
 
 
 def no_worse_at_every_delay(results: Results, table: DelayTable, metric: str) -> Claim:
-    """LA's error is at most PR's at each delay at which a trial of LA or PR stood."""
+    """The claim that LA's error is at most PR's, at each delay at which LA or PR stood."""
     name, _, _ = METRIC_IN_WORDS[metric].partition(" [")
     sentence = f"{table.title}: LA's {name} ≤ PR's at every delay"
     found = outcomes(results.rows(table.study), table)
@@ -77,7 +77,7 @@ def no_worse_at_every_delay(results: Results, table: DelayTable, metric: str) ->
 
 
 def tolerates(results: Results, table: DelayTable) -> Claim:
-    """Every seed of LA stands the longest delay at which the paper's LA stands."""
+    """The claim that every seed of LA stands the longest delay that the paper's LA stands."""
     paper = paper_tolerance(table, "la")
     sentence = f"{table.title}: LA stands the paper's longest delay, {paper} ms, with every seed"
     found = tolerances(results, table, "la")
@@ -89,7 +89,7 @@ def tolerates(results: Results, table: DelayTable) -> Claim:
 
 
 def remote_falls(results: Results, table: DelayTable) -> Claim:
-    """PR falls at every delay above the longest at which the paper's PR stands."""
+    """The claim that PR falls at every delay above the longest that the paper's PR stands."""
     found = outcomes(results.rows(table.study), table)
     falls = [delay for delay in found if delay > paper_tolerance(table, "pr")]
     sentence = f"{table.title}: PR always falls beyond {paper_tolerance(table, 'pr')} ms"
@@ -101,7 +101,7 @@ def remote_falls(results: Results, table: DelayTable) -> Claim:
 
 
 def success(results: Results, scenario: str, task: str) -> Claim:
-    """LA's success rate in one cell of Table IV, over all profiles, reaches the paper's."""
+    """The claim that LA's success rate in a cell of Table IV is at least the paper's."""
     paper = five_g.success_percent(scenario, task, "la")
     sentence = f"Table IV, {scenario}, {task}: LA's success ≥ the paper's {paper:.0f} %"
     la = five_g.outcomes(results, scenario, task)["la"]
@@ -111,7 +111,7 @@ def success(results: Results, scenario: str, task: str) -> Claim:
 
 
 def remote_walk_falls(results: Results, scenario: str) -> Claim:
-    """PR falls in every walk of Table IV, as in the paper."""
+    """The claim that PR falls in every walk of a scenario, as in the paper."""
     sentence = f"Table IV, {scenario}, walk: PR always falls"
     pr = five_g.outcomes(results, scenario, "walk")["pr"]
     if not pr.played:

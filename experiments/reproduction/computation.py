@@ -51,7 +51,7 @@ def computation_verdicts(results: Results) -> list[Verdict]:
 
 
 def local_is_cheaper(results: Results) -> tuple[bool | None, str]:
-    """Check that LA's controller takes less time than the QP; with the times in words.
+    """Return whether LA's controller takes less time than the QP, and the times in words.
 
     Compared are the mean and the worst undisturbed tick. (None, "") without a measurement.
     """

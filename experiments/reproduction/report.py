@@ -1,4 +1,4 @@
-"""Writes a page of the results of `run`, with its trials and figures: `./wbc report`.
+"""Write a page of the results of `run`, with its trials and figures: `./wbc report`.
 
 The page is `docs/results.md`, with figures in `docs/figures`. Each folder
 `docs/results/trials/STUDY` has the table of trials, the study and its provenance. `./wbc check`

@@ -1,4 +1,4 @@
-"""Plays the trials of the paper's tables and figures and prints them: `./wbc run table2 fig5 …`.
+"""Play the trials of the paper's tables and figures and print them: `./wbc run table2 fig5 …`.
 
 Each study has a folder below `--out`, which keeps finished trials. The same command therefore
 continues after an interruption. A study that several tables share is played once.

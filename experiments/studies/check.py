@@ -1,4 +1,4 @@
-"""Plays trials of a finished sweep again and compares their rows: `check DIR --sample 20`.
+"""Play trials of a finished sweep again and compare their rows: `check DIR --sample 20`.
 
 `DIR` holds `study.toml`, `trials.parquet` and `about.json` of a sweep; the journal is not needed.
 Rows are compared in every column except measured times. The comparison is exact if the machine and

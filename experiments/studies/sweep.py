@@ -1,4 +1,4 @@
-"""Plays a study: many trials on all cores, stored as they finish, and written to one table.
+"""Play a study: many trials on all cores, stored as they finish, and written to one table.
 
 The same command continues after an interruption. It plays trials that ended with an error again.
 The next trial of a bisection depends only on the outcomes of the trials before it, not on the time
@@ -200,7 +200,7 @@ def _playing(
 
 
 def _write_table(path: Path, table: str, asked: str, out: Path) -> None:
-    """The table with how and where it was made; `asked` is the study and its options."""
+    """Write the table with its provenance on top; `asked` is the study and its options."""
     try:
         about = json.loads((out / "about.json").read_text(encoding="utf-8"))
         made = about["versions"]

@@ -1,1 +1,1 @@
-"""Generates delay profiles of a 5G mmWave link; `docs/network-model.md`."""
+"""Generate delay profiles of a 5G mmWave link; `docs/network-model.md`."""

@@ -1,4 +1,4 @@
-"""Compares generated profiles with the shipped ns-3 profiles: `./wbc netem calibrate`.
+"""Compare generated profiles with the shipped ns-3 profiles: `./wbc netem calibrate`.
 
 The gains of the model were fitted to the odd runs of ns-3 alone. The table gives both halves, so
 that overfitting to the odd runs would show. `docs/network-model.md` lists which other parts of the

@@ -1,4 +1,4 @@
-"""Generates seeded delay profiles of a modelled 5G link: `./wbc netem generate factory --out DIR`.
+"""Generate seeded delay profiles of a modelled 5G link: `./wbc netem generate factory --out DIR`.
 
 The steps are channel (`channel`) → capacity (`rate_adaptation`) → queue (`queueing`) → one-way
 delays. Both ways share one channel. `docs/network-model.md` describes the model and compares it

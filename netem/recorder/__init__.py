@@ -1,1 +1,1 @@
-"""Measures a real path as a delay profile; `docs/recording.md`."""
+"""Measure a real path as a delay profile; `docs/recording.md`."""

@@ -1,4 +1,4 @@
-"""Measures a real path as a profile: `./wbc netem record`, one end on either machine.
+"""Measure a real path as a profile: `./wbc netem record`, one end on either machine.
 
 The two ends stand in for robot and edge: with the same keys, rate, sizes and quality of service. A
 path that carries the stack therefore carries their messages too. `probe_near` and `probe_far` have

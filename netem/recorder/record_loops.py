@@ -46,7 +46,7 @@ class Arrival(NamedTuple):
 
 
 class Arrivals:
-    """Hands messages from the bus's thread to the loop; `missed` counts messages without room."""
+    """A queue from the bus's thread to the loop; `missed` counts messages without room."""
 
     def __init__(self, *, read: int | None) -> None:
         self.missed = 0
@@ -75,7 +75,7 @@ class Arrivals:
 
 
 class NearLoop:
-    """Drives a near end: connect, measure, drain."""
+    """The loop of a near end: connect, measure, drain."""
 
     def __init__(self, near: NearEnd, publisher: Publisher) -> None:
         self.near = near
@@ -123,7 +123,7 @@ class NearLoop:
         return True
 
     def measure(self, *, seconds: float, stopping: Callable[[], bool]) -> tuple[int, int]:
-        """Measure. Return the start and the end [ns] on the clock of the recording."""
+        """Measure for `seconds`. Return start and end [ns] on the clock of the recording."""
         settings, ticker = self.near.settings, self._ticker
         for _ in range(round(SETTLE_SECONDS * 1e9 / settings.period_ns)):
             self._tick(ticker)
@@ -175,7 +175,7 @@ class NearLoop:
 
 
 class FarLoop:
-    """Serves recordings, one after the other."""
+    """The loop of a far end, which serves recordings, one after the other."""
 
     def __init__(self, far: FarEnd, publisher: Publisher, say: Callable[[str], None]) -> None:
         self.far = far

@@ -24,7 +24,7 @@ def say(line: str) -> None:
 
 
 class StatusLine:
-    """Prints time left, delays and losses from a thread: in place on a terminal, else every 5 s."""
+    """A thread that prints time left, delays and losses: in place on a terminal, else every 5 s."""
 
     def __init__(self, loop: NearLoop, *, seconds: float) -> None:
         self._loop = loop
