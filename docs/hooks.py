@@ -1,8 +1,8 @@
-"""What the docs site does that MkDocs does not: equations, and the sources that pages link to.
+"""Hooks of MkDocs for the docs site: equations, and pages for the sources that pages link to.
 
-The pages are written to be read in the repository as well. There an equation is a fence ```math,
-and a link to a file outside of docs/ is relative. The site has equations as MathML, which browsers
-show without a script, and a page of its own for each such file.
+The pages can also be read in the repository. There an equation is a fence ```math, and a link to a
+file outside of docs/ is relative. On the site an equation is MathML, which browsers show without a
+script, and each such file has a page.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ _LANGUAGES = {".py": "python", ".toml": "toml", ".yaml": "yaml", ".yml": "yaml",
 
 
 def on_config(config: MkDocsConfig) -> None:
-    """Give fences named math to `mathml`."""
+    """Register `mathml` as the formatter of fences named math."""
     fences = config.mdx_configs.setdefault("pymdownx.superfences", {})
     fences["custom_fences"] = [{"name": "math", "class": "math", "format": mathml}]
 
 
 def mathml(source: str, *arguments: Any, **options: Any) -> str:
-    """An equation in LaTeX as MathML; an exception for what would be shown as it is written."""
+    """Convert an equation in LaTeX to MathML; an exception for LaTeX that stays unconverted."""
     markup: str = convert(source, display="block")
     if "\\" in markup or re.search("&(?!#)", markup):
         raise SuperFencesException(
-            f"an equation has what cannot be shown, as \\begin{{aligned}}: {source}"
+            f"expected LaTeX that MathML can show, got an equation with other parts: {source}; "
+            "try without environments such as \\begin{aligned}"
         )
-    # Browsers know the alignment of a column by its style only.
+    # Browsers take the alignment of a column from its style only.
     return re.sub(r'columnalign="(\w+)"', r'style="text-align: \1"', markup)
 
 
@@ -50,7 +51,7 @@ def on_files(files: Files, *, config: MkDocsConfig) -> None:
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Lead links out of docs/ to the pages that `on_files` has made."""
+    """Replace links out of docs/ by links to the pages of `on_files`."""
 
     def led(found: re.Match[str]) -> str:
         path = _linked(page.file.src_uri, found[1])
@@ -63,7 +64,7 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
 
 def _linked(page: str, link: str) -> str | None:
-    """The path in the repository of a link on a page, if it is there and not in docs/."""
+    """The path in the repository of a link on a page; None if it is missing or within docs/."""
     path = posixpath.normpath(posixpath.join("docs", posixpath.dirname(page), link))
     outside = not path.startswith(("docs/", "../"))
     return path if outside and (ROOT / path).exists() else None
