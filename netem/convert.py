@@ -23,10 +23,11 @@ from netem.importers.options import (
     parse_size,
     per_way,
 )
+from netem.importers.pauses import TREATMENTS
 from netem.importers.resample import to_profile
 from netem.profile import DIRECTIONS, LOST, DelayProfile
 from netem.profile_file import read_profile, write_profile
-from netem.statistics import delays_ms
+from netem.statistics import delays_ms, longest_run
 from shared.config.quantities import parse_duration_ns
 from shared.errors import ConfigError, ProfileError
 from shared.process.cli import EXIT_STANDING
@@ -34,6 +35,10 @@ from shared.process.cli import EXIT_STANDING
 # Each flag's name, the field of `Options` that it sets, how it is written and what it is.
 _FLAGS: tuple[tuple[str, str, Callable[[str], Any], str, str], ...] = (
     ("period", "period_ns", parse_period_ns, "1ms", "of the profile"),
+    ("pause", "pause", str, "cut", "1 s or longer without packets: refuse (default), cut, "
+     "or lost"),
+    ("lone-loss", "lone_loss", str, "period", "how long a packet lost between two that arrived is "
+     "lost: interval (until the next packet, default) or period"),
     ("interval", "interval_ns", parse_duration_ns, "10ms", "between pings (default 1s)"),
     ("columns", "columns", parse_columns, "sent=t(s),delay=d(ms)", "of a table"),
     ("unit", "unit", str, "ms", "of a table's columns that do not name theirs: s, ms, us, ns"),
@@ -101,10 +106,7 @@ def run_convert(arguments: argparse.Namespace) -> int:
         measured, constant_ns = read_both_ways(files, formats, arguments.other_way, options)
         measured = with_one_clock(measured, clock=options.clock, name=name)
         profile = to_profile(
-            _with_capacity(measured, options),
-            name=name,
-            period_ns=options.period_ns,
-            constant_ns=constant_ns,
+            _with_capacity(measured, options), options, name=name, constant_ns=constant_ns
         )
         source = [file.name for file in files.values()]
         origin = {"source": source[0] if len(source) == 1 else source, "format": formats[0].name}
@@ -128,6 +130,10 @@ def _options(arguments: argparse.Namespace) -> Options:
     options = Options(**given)
     if options.clock not in (None, "offset", "half"):
         raise ConfigError(f"--clock: expected offset or half, got {options.clock!r}")
+    if options.pause not in TREATMENTS:
+        raise ConfigError(f"--pause: expected {', '.join(TREATMENTS)}, got {options.pause!r}")
+    if options.lone_loss not in ("interval", "period"):
+        raise ConfigError(f"--lone-loss: expected interval or period, got {options.lone_loss!r}")
     if options.seed < 0:
         raise ConfigError(f"--seed: expected none below 0, got {options.seed}")
     return options
@@ -153,16 +159,31 @@ def _with_capacity(measured: Measured, options: Options) -> Measured:
 def _print(profile: DelayProfile, out: Path, formats: list[Format]) -> None:
     n = profile.delays_ns.shape[1]
     print(f"{out}: {n} periods of {profile.period_ns / 1000:g} µs, from {formats[0].name}")
+    imported = PROFILE not in formats
     for direction, name in enumerate(DIRECTIONS):
         delays = delays_ms(profile, name)
         passed = delays[np.isfinite(delays)]
-        lost = float((profile.delays_ns[direction] == LOST).mean())
         print(
             f"  {name}: shortest {passed.min():.3f}, median {np.median(passed):.3f}, longest "
-            f"{passed.max():.3f} ms; {100 * lost:.2f} % lost"
+            f"{passed.max():.3f} ms"
         )
+        print(f"    {_losses_in_words(profile, direction, imported=imported)}")
     if profile.columns:
         print(f"  columns: {', '.join(profile.columns)}")
-    notes = profile.metadata.get("notes", []) if PROFILE not in formats else []
-    for note in notes:
+    for note in profile.metadata.get("notes", []) if imported else []:
         print(f"  {note}")
+
+
+def _losses_in_words(profile: DelayProfile, direction: int, *, imported: bool) -> str:
+    """Packets lost of packets sent, and what that is in time."""
+    lost = profile.delays_ns[direction] == LOST
+    longest_s = longest_run(lost) * profile.period_ns * 1e-9
+    words = [f"{100 * lost.mean():.2f} % of the time lost"]
+    if lost.any():
+        words.append(f"{longest_s:g} s of it at a stretch")
+    name = DIRECTIONS[direction]
+    if imported and name in profile.metadata["packets"]:
+        sent, missing = (profile.metadata[key][name] for key in ("packets", "packets_lost"))
+        words.insert(0, f"{missing} of {sent} packets lost ({100 * missing / sent:.2f} %)")
+        words.append(f"{100 * profile.metadata['interpolated'][name]:.1f} % of it interpolated")
+    return ", ".join(words)

@@ -12,7 +12,7 @@ import numpy as np
 
 from netem.networks import load_profile, shipped_names
 from netem.profile import DIRECTIONS, LOST, DelayProfile
-from netem.statistics import LINKS, delays_ms, outages, statistics
+from netem.statistics import LINKS, OUTAGE_MS, delays_ms, outages, statistics
 from shared.errors import ProfileError
 from shared.process.cli import EXIT_STANDING
 
@@ -101,8 +101,11 @@ def run_stats(arguments: argparse.Namespace) -> int:
     print(f"{'':24}" + "".join(f"{link:>12}" for link in LINKS))
     for key in table[LINKS[0]]:
         values = [row[key] for row in table.values()]
-        cells = [_percent(v) if key == "lost" else f"{v:.2f}" for v in values]
+        cells = ["–" if math.isnan(v) else f"{v:.2f}" for v in values]
+        if key == "lost":
+            cells = [_percent(v) for v in values]
         print(f"{_TOLD[key]:24}" + "".join(f"{cell:>12}" for cell in cells))
+    print(_EXPLAINED)
     return EXIT_STANDING
 
 
@@ -117,8 +120,18 @@ _TOLD = {
     "peak_median": "  peak, median",
     "peak_q90": "  peak, 90 %",
     "duration_median": "  lasting, median",
+    "duration_maximum": "  lasting, longest",
+    "lost_maximum": "longest run of losses",
     "memory": "memory (1/e)",
 }
+
+
+_EXPLAINED = f"""
+round trip: a message up, and its answer down from the moment that it arrives
+median … longest: of the messages that arrived; lost: the part of the time in which none did
+outage: messages in a row that were lost, or took over {OUTAGE_MS:g} ms and twice the median
+peak: the longest delay in an outage of a message that arrived; lasting: in ms, lost ones too
+memory: how far apart two delays are that hardly know of each other (correlation 1/e)"""
 
 
 def _profiles(name: str) -> list[DelayProfile]:

@@ -39,7 +39,8 @@ class DelayStatistics:
 
     `median`, `q90`, `q99`, `q999`, `maximum` of the delays that were not lost; `lost` the fraction
     that were; `outages_per_second` [1/s]; `peak_median`, `peak_q90` over the outages, and
-    `duration_median` of the time they lasted; `memory` is the lag at which the autocorrelation of
+    `duration_median`, `duration_maximum` of the time they lasted; `lost_maximum` is the longest run
+    of losses [ms]; `memory` is the lag at which the autocorrelation of
     the delay has fallen to 1/e. NaN for what does not exist.
     """
 
@@ -53,6 +54,8 @@ class DelayStatistics:
     peak_median: float
     peak_q90: float
     duration_median: float
+    duration_maximum: float
+    lost_maximum: float
     memory: float
 
 
@@ -88,6 +91,12 @@ def outages(delays: np.ndarray) -> list[ObservedOutage]:
     return found
 
 
+def longest_run(marked: np.ndarray) -> int:
+    """How many marks there are in a row at most."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
+    return int(np.diff(edges.reshape(-1, 2)).max(initial=0))
+
+
 def statistics(profiles: Sequence[DelayProfile], link: str) -> DelayStatistics:
     """Of all profiles together; `link` is one of `LINKS`."""
     series = [delays_ms(profile, link) for profile in profiles]
@@ -114,6 +123,11 @@ def statistics(profiles: Sequence[DelayProfile], link: str) -> DelayStatistics:
         peak_median=_quantile(peaks, 0.5),
         peak_q90=_quantile(peaks, 0.9),
         duration_median=_quantile(durations, 0.5),
+        duration_maximum=_quantile(durations, 1.0),
+        lost_maximum=max(
+            longest_run(~np.isfinite(each)) * period
+            for each, period in zip(series, periods_ms, strict=True)
+        ),
         memory=_memory(series, periods_ms),
     )
 

@@ -21,6 +21,8 @@ from netem.profile_file import CSV_HEADER
 from shared.errors import ProfileError
 
 _HEAD_BYTES = 1 << 16
+# What every measurement of single packets takes.
+_PACKETS = ("pause", "lone_loss", "period")
 Read = Callable[[Path, Options, int], Measured]
 
 
@@ -39,19 +41,19 @@ class Format:
 
 
 PROFILE = Format("profile", "the project's own .npz or .csv", None)
-PCAP = Format("pcap", "captures at both ends", None, ("clock", "robot", "period"))
+PCAP = Format("pcap", "captures at both ends", None, ("clock", "robot", *_PACKETS))
 FORMATS = (
-    Format("ns3", "ns-3 *PdcpStats, *RlcStats, Nr*RxStats", read_ns3, ("rnti", "phy", "period")),
+    Format("ns3", "ns-3 *PdcpStats, *RlcStats, Nr*RxStats", read_ns3, ("rnti", "phy", *_PACKETS)),
     Format("ns3-phy", "ns-3 RxPacketTrace, for --phy", refuse_alone, ("rnti", "period")),
-    Format("irtt", "irtt's JSON", read_irtt, ("clock", "period")),
-    Format("ping", "a log of ping", read_ping, ("interval", "period")),
+    Format("irtt", "irtt's JSON", read_irtt, ("clock", *_PACKETS)),
+    Format("ping", "a log of ping", read_ping, ("interval", *_PACKETS)),
     Format(
         "mahimahi",
         "a packet-delivery trace",
         read_mahimahi,
         ("load", "base_delay", "queue", "duration", "period"),
     ),
-    Format("cellreplay", "packet trains", read_cellreplay, ("load", "period")),
+    Format("cellreplay", "packet trains", read_cellreplay, ("load", "pause", "period")),
     Format(
         "netem",
         "a distribution table of tc-netem",
@@ -61,7 +63,10 @@ FORMATS = (
     ),
     Format("histogram", "delays by bin", read_histogram, ("duration", "seed", "period")),
     Format(
-        "table", "columns that --columns names", read_table, ("columns", "unit", "clock", "period")
+        "table",
+        "columns that --columns names",
+        read_table,
+        ("columns", "unit", "clock", *_PACKETS),
     ),
     PCAP,
     PROFILE,

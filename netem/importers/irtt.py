@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from array import array
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,13 +52,14 @@ def read_irtt(path: Path, options: Options, direction: int) -> Measured:
     notes = (nowhere,) if (lost == "true").any() else ()
     one_way = all(row["lost"] != "false" or row["send"] is not None for row in rows)
     if one_way and options.clock != "half":
-        ways = _ways(rows, sent, traffic)
+        ways = _ways(rows, sent, lost, traffic)
         return Measured(ways, notes, {"split": "one-way"}, two_clocks=True)
     _need_round_trips(path, rows)
     trip = np.array([row["rtt"] or 0 for row in rows])
     # Each half without the packets of which nothing is known there.
     up, _ = _halved(lost != "true_down", sent, trip, lost, traffic)
     _, down = _halved(lost != "true_up", sent, trip, lost, traffic)
+    up, down = _with_unknown((up, down), sent, lost)
     return Measured((up, down), (HALF_NOTE, *notes), {"split": "half"})
 
 
@@ -71,7 +73,18 @@ def _halved(
     return halved(sent[known], trip[known], lost[known] != "false", **traffic)
 
 
-def _ways(rows: list[dict[str, Any]], sent: np.ndarray, traffic: dict[str, Any]) -> tuple[Way, Way]:
+def _with_unknown(ways: tuple[Way, Way], sent: np.ndarray, lost: np.ndarray) -> tuple[Way, Way]:
+    """Either way with the times of the packets that were lost on the other one."""
+    up, down = ways
+    return (
+        replace(up, unknown_ns=sent[lost == "true_down"]),
+        replace(down, unknown_ns=sent[lost == "true_up"]),
+    )
+
+
+def _ways(
+    rows: list[dict[str, Any]], sent: np.ndarray, how: np.ndarray, traffic: dict[str, Any]
+) -> tuple[Way, Way]:
     passed = [k for k, row in enumerate(rows) if row["lost"] == "false"]
     # Of a packet that was lost nobody noted when it turned round: as the others did, in the median.
     usual = int(np.median([rows[k]["send"] for k in passed])) if passed else 0
@@ -84,7 +97,7 @@ def _ways(rows: list[dict[str, Any]], sent: np.ndarray, traffic: dict[str, Any])
             _append(down, at + row["send"], row["receive"], "false")
         elif row["lost"] in ("true", "true_down"):
             _append(down, at + usual, None, row["lost"])
-    return ordered(*up, **traffic), ordered(*down, **traffic)
+    return _with_unknown((ordered(*up, **traffic), ordered(*down, **traffic)), sent, how)
 
 
 def _append(way: tuple[array[int], ...], sent: int, delay: int | None, lost: str) -> None:

@@ -24,6 +24,8 @@ class Way:
     """Packets of one way in the order of sending, (n,) each; `delay_ns` means nothing if `lost`.
 
     `message_bytes` and `rate_hz` describe the traffic measured with, None where unknown.
+    `unknown_ns` is when packets were sent of which nothing is known on this way. `counts` is how
+    many packets were sent and lost, if those here are not one each.
     """
 
     sent_ns: np.ndarray
@@ -31,6 +33,13 @@ class Way:
     lost: np.ndarray
     message_bytes: int | None = None
     rate_hz: float | None = None
+    unknown_ns: np.ndarray | None = None
+    counts: tuple[int, int] | None = None
+
+    @property
+    def counted(self) -> tuple[int, int]:
+        """How many packets were sent, and how many of them were lost."""
+        return self.counts or (len(self.sent_ns), int(self.lost.sum()))
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,8 @@ class Options:
     """Each importer takes its own of these; pairs are uplink and downlink; None: not said."""
 
     period_ns: int = PERIOD_NS
+    pause: str = "refuse"
+    lone_loss: str = "interval"
     interval_ns: int | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     unit: str | None = None

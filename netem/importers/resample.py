@@ -1,21 +1,31 @@
 """Packets, sent when they were, as a profile of equal periods.
 
 A period takes the longest delay of the packets sent in it: of a datagram in fragments the last
-one counts. It is lost only if all of them were. A period in which nothing was sent is interpolated
-between its neighbours along the time of sending. This is exact behind a stall: packets queue, are
-released together, and the one sent 1 ms later waits 1 ms less. The boundaries of the periods lie
-where in the period no packets are sent, so that no burst is parted and rounded times do no harm.
-Both ways share one axis, of the time for which both were measured.
+one counts. It is lost only if all of them were.
+
+A period in which nothing was sent is filled. Between two packets that arrived, one after the other,
+it is interpolated along the time of sending. This is exact behind a stall: packets queue, are
+released together, and the one sent 1 ms later waits 1 ms less. A lost packet stands for the time
+until the next one, and so does one that arrived before a lost one: the periods lost are then as
+many as the packets lost, and an outage is as long as it was, to within the time between packets.
+
+The boundaries of the periods lie where in the period no packets are sent, so that no burst is
+parted and rounded times do no harm. Both ways share one axis, of the time for which both were
+measured.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from netem.importers.measured import Measured, Series, Way
+from netem.importers.options import Options
+from netem.importers.pauses import usual_spacing_ns, without_pauses
 from netem.profile import DIRECTIONS, LOST, MAX_DELAY_MS, DelayProfile
 from shared.errors import ProfileError
 
@@ -23,15 +33,17 @@ MAX_PERIODS = 10_000_000
 
 
 def to_profile(
-    measured: Measured, *, name: str, period_ns: int, constant_ns: int | None = None
+    measured: Measured, options: Options, *, name: str, constant_ns: int | None = None
 ) -> DelayProfile:
     """The profile of a measurement; `constant_ns` is the delay of a way that was not measured."""
+    period_ns = options.period_ns
+    measured = without_pauses(measured, name=name, period_ns=period_ns, treatment=options.pause)
     notes = list(measured.notes)
     for direction, way in zip(DIRECTIONS, measured.ways, strict=True):
         if way is not None:
             _check(name, direction, way)
     ways = _on_one_axis(name, measured, notes)
-    spans = [(int(way.sent_ns[0]), int(way.sent_ns[-1])) for way in ways if way is not None]
+    spans = [(int(way.sent_ns[0]), _end(way, period_ns)) for way in ways if way is not None]
     spans += [(int(s.time_ns.min()), int(s.time_ns.max())) for s in measured.series.values()]
     begin, end = max(first for first, _ in spans), min(last for _, last in spans)
     if begin > end:
@@ -42,25 +54,28 @@ def to_profile(
     n = (end - start) // period_ns + 1
     if end - begin < 0.99 * max(last - first for first, last in spans):
         notes.append(f"the {(end - begin) * 1e-9:.3f} s kept that all files cover")
-    delays = [
-        np.full(n, LOST if constant_ns is None else constant_ns)
-        if way is None
-        else _resampled(way, start, n, period_ns)
-        for way in ways
-    ]
+    lone = options.lone_loss == "period"
+    delays, filled, surprises = [], {}, defaultdict(list)
     for direction, way in zip(DIRECTIONS, ways, strict=True):
-        if way is not None:
-            empty = 1 - len(np.unique(_periods(way, start, n, period_ns))) / n
-            if empty > 0.01:
-                notes.append(f"{direction}: {100 * empty:.1f} % of the periods interpolated")
-    for direction, way_ns in zip(DIRECTIONS, delays, strict=True):
+        if way is None:
+            delays.append(np.full(n, LOST if constant_ns is None else constant_ns))
+            continue
+        way_ns, empty = _resampled(way, start, n, period_ns, lone_losses=lone)
         if (way_ns == LOST).all():
             raise ProfileError(f"{name}: every {direction} packet is lost in {n} periods")
+        delays.append(way_ns)
+        filled[direction] = float((empty & (way_ns != LOST)).mean())
+        for note in _loss_notes(way, way_ns == LOST, empty, lone_losses=lone):
+            surprises[note].append(direction)
+    notes += [f"{' and '.join(of)}: {note}" for note, of in surprises.items()]
     return DelayProfile(
         name=name,
         delays_ns=np.vstack(delays).astype(np.int64),
         period_ns=period_ns,
-        metadata=_metadata(measured, ways, n, period_ns, notes),
+        metadata={
+            **_metadata(measured, ways, n, period_ns, notes),
+            "interpolated": {direction: round(part, 6) for direction, part in filled.items()},
+        },
         columns={k: _binned(s, start, n, period_ns) for k, s in measured.series.items()},
     )
 
@@ -115,29 +130,58 @@ def _start(sent_ns: np.ndarray, begin_ns: int, period_ns: int) -> int:
     return begin_ns - (-boundary) % period_ns
 
 
-def _periods(way: Way, start_ns: int, n: int, period_ns: int) -> np.ndarray:
-    """Which of the `n` periods the packets were sent in."""
-    index = (way.sent_ns - start_ns) // period_ns
-    return index[(index >= 0) & (index < n)]
+def _end(way: Way, period_ns: int) -> int:
+    """When the measurement of a way ends [ns]; a packet lost at last stands as long as others."""
+    last = int(way.sent_ns[-1])
+    return last + max(usual_spacing_ns(way, period_ns) - period_ns, 0) * bool(way.lost[-1])
 
 
-def _resampled(way: Way, start_ns: int, n: int, period_ns: int) -> np.ndarray:
-    """Delay of each of `n` periods [ns], `LOST` where all its packets were lost."""
+def _resampled(
+    way: Way, start_ns: int, n: int, period_ns: int, *, lone_losses: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Delay of each of `n` periods [ns], `LOST` where it is, and which of them had no packet.
+
+    With `lone_losses` a packet lost between two that arrived is lost in its own period only.
+    """
     index = (way.sent_ns - start_ns) // period_ns
     delay = np.where(way.lost, LOST, way.delay_ns)
     order = np.lexsort((delay, index))
     index, delay, sent = index[order], delay[order], way.sent_ns[order]
     longest = np.append(np.diff(index) > 0, True)
     index, delay, sent = index[longest], delay[longest], sent[longest]
-    passed = delay != LOST
-    centres = start_ns + period_ns * np.arange(n) + period_ns // 2
-    # From the first packet on: nanoseconds since 1970 do not fit a double.
-    origin = sent[0]
-    filled = np.interp(centres - origin, sent[passed] - origin, delay[passed])
-    resampled: np.ndarray = np.rint(filled).astype(np.int64)
-    inside = (index >= 0) & (index < n)
-    resampled[index[inside]] = delay[inside]
-    return resampled
+    before = np.maximum(np.searchsorted(index, np.arange(n), side="right") - 1, 0)
+    after = np.minimum(before + 1, len(index) - 1)
+    empty = index[before] != np.arange(n)
+    if lone_losses:
+        around = np.concatenate([[True], delay == LOST, [True]])
+        lone = (delay == LOST) & ~around[:-2] & ~around[2:]
+        before = before - (empty & lone[before])
+    resampled: np.ndarray = delay[before].astype(np.int64)
+    between = empty & (after == before + 1) & (delay[before] != LOST) & (delay[after] != LOST)
+    begin, end = before[between], after[between]
+    centres = start_ns + period_ns * np.flatnonzero(between) + period_ns // 2
+    part = np.clip((centres - sent[begin]) / (sent[end] - sent[begin]), 0.0, 1.0)
+    resampled[between] += np.rint(part * (delay[end] - delay[begin])).astype(np.int64)
+    return resampled, empty
+
+
+def _loss_notes(
+    way: Way, lost: np.ndarray, empty: np.ndarray, *, lone_losses: bool
+) -> Iterator[str]:
+    """What became of the lost packets, where that is a choice or may surprise."""
+    sent, missing = way.counted
+    if lone_losses and missing:
+        yield "a lone lost packet stands for its own period only (--lone-loss)"
+    elif (lost & empty).any():
+        yield (
+            "a lost packet stands for the time until the next one; --lone-loss period gives one "
+            "that is lost alone its own period only"
+        )
+    if missing > 0.001 * sent and lost.mean() < missing / sent / 2:
+        yield (
+            "fewer periods than packets are lost, as a period is lost only with all its packets; "
+            "a shorter --period parts them"
+        )
 
 
 def _binned(series: Series, start_ns: int, n: int, period_ns: int) -> np.ndarray:
@@ -158,8 +202,8 @@ def _metadata(
     sizes = {d: w.message_bytes for d, w in known.items() if w.message_bytes is not None}
     return {
         **measured.metadata,
-        "packets": {direction: len(way.sent_ns) for direction, way in known.items()},
-        "packets_lost": {direction: int(way.lost.sum()) for direction, way in known.items()},
+        "packets": {direction: way.counted[0] for direction, way in known.items()},
+        "packets_lost": {direction: way.counted[1] for direction, way in known.items()},
         "span_s": n * period_ns * 1e-9,
         "period_us": period_ns / 1000,
         **{f"{direction}_bytes": size for direction, size in sizes.items()},

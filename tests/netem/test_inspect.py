@@ -43,6 +43,14 @@ def test_statistics_of_a_folder_are_those_of_its_files_together(tmp_path):
     assert result["uplink"]["peak_median"] is None
 
 
+def test_statistics_explain_their_labels():
+    done = netem("stats", "constant:10ms")
+    assert done.returncode == 0, done.stderr
+    for label in ("outage:", "peak:", "memory:", "lost:", "round trip:"):
+        assert label in done.stdout
+    assert "nan" not in done.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [

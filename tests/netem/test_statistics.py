@@ -60,6 +60,19 @@ def test_profiles_are_pooled():
     assert of_both.maximum == 80.0
     assert of_both.peak_median == 65.0
     assert of_both.duration_median == 10.0
+    assert of_both.duration_maximum == 40.0
+    assert of_both.lost_maximum == 1.0
+
+
+def test_a_lost_span_is_an_outage_as_long_as_it_lasted():
+    up = np.ones(1000)
+    up[100:400] = -1.0
+    up[390] = 50.0
+    of_it = statistics([profile(up, np.ones(1000))], "uplink")
+    assert of_it.outages_per_second == 1.0
+    assert of_it.duration_maximum == 300.0
+    assert of_it.lost_maximum == 290.0
+    assert of_it.peak_median == 50.0
 
 
 def test_the_autocorrelation_is_that_of_a_known_process():

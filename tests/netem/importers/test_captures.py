@@ -206,7 +206,7 @@ def test_identifications_are_used_again_and_losses_do_not_shift_them(convert, wr
             if (cycle, k) != (0, 2):
                 far.append((near[-1][0] + 2 * MS, packet))
     files = written("a", pcap(near)), written("b", pcap(far))
-    profile = convert(*files, "--other-way", "same")
+    profile = convert(*files, "--other-way", "same", "--pause", "cut")
     assert profile.delays_ns[UPLINK, :4].tolist() == [2 * MS, 2 * MS, LOST, 2 * MS]
     assert profile.delays_ns.max() == 2 * MS
 

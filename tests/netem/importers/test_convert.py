@@ -71,6 +71,15 @@ def test_what_was_assumed_is_in_the_profile_and_on_the_screen(tmp_path, sample, 
         assert note in shown
 
 
+def test_what_was_lost_is_told_in_packets_and_in_time(tmp_path, written, capsys):
+    rows = [f"{k / 10},{'' if k % 10 in (5, 6) else 20}\n" for k in range(600)]
+    file = written("t.csv", "t_s,rtt_ms\n" + "".join(rows))
+    profile = run(tmp_path / "p.npz", file, "--columns", "sent=t_s,rtt=rtt_ms")
+    words = "120 of 600 packets lost (20.00 %), 20.03 % of the time lost, 0.2 s of it at a stretch"
+    assert capsys.readouterr().out.count(words) == 2
+    assert profile.metadata["interpolated"]["uplink"] == pytest.approx(0.79, abs=0.01)
+
+
 def test_a_period_is_chosen(convert, sample):
     profile = convert(sample("ping_D_sample.txt"), "--period", "500us")
     assert profile.period_ns == 500_000
@@ -114,6 +123,8 @@ def test_a_file_that_cannot_be_read_is_refused(refused, tmp_path, file):
         (("--correlation", "150%"), "--correlation: expected a fraction"),
         (("--queue", "3"), "--queue: expected a size"),
         (("--seed", "-1"), "--seed"),
+        (("--pause", "skip"), "--pause: expected refuse, cut, lost"),
+        (("--lone-loss", "1ms"), "--lone-loss: expected interval or period"),
         (("--interval", "10ms"), "--interval: only ping takes it"),
         (("--jitter", "10ms"), "--jitter: only netem takes it"),
         (("--other-way", "up"), "--other-way: expected same or constant:5ms"),
