@@ -25,7 +25,7 @@ from netem.importers.options import (
 )
 from netem.importers.pauses import TREATMENTS
 from netem.importers.resample import to_profile
-from netem.profile import DIRECTIONS, LOST, DelayProfile
+from netem.profile import DIRECTIONS, LOST, UPLINK, DelayProfile
 from netem.profile_file import read_profile, write_profile
 from netem.statistics import delays_ms, longest_run
 from shared.config.quantities import parse_duration_ns
@@ -39,9 +39,10 @@ _FLAGS: tuple[tuple[str, str, Callable[[str], Any], str, str], ...] = (
      "or lost"),
     ("lone-loss", "lone_loss", str, "period", "how long a packet lost between two that arrived is "
      "lost: interval (until the next packet, default) or period"),
-    ("interval", "interval_ns", parse_duration_ns, "10ms", "between pings (default 1s)"),
+    ("interval", "interval_ns", parse_duration_ns, "10ms", "between pings or bare delays"),
     ("columns", "columns", parse_columns, "sent=t(s),delay=d(ms)", "of a table"),
     ("unit", "unit", str, "ms", "of a table's columns that do not name theirs: s, ms, us, ns"),
+    ("lost", "lost", str, "-1", "what stands for a lost packet in a table, beside nan, empty, …"),
     ("clock", "clock", str, "offset", "two clocks: offset (shortest delays equal) or half (of the "
      "round trip each way)"),
     ("rnti", "rnti", int, "N", "the terminal, in ns-3's files of several"),
@@ -91,12 +92,16 @@ def run_convert(arguments: argparse.Namespace) -> int:
     if out.suffix not in (".npz", ".csv"):
         raise ProfileError(f"convert: expected the profile to write last, .npz or .csv, got {out}")
     options = _options(arguments)
+    options, inputs = _with_receivers(options, inputs)
     files = files_by_way(inputs, arguments.uplink, arguments.downlink)
+    if options.beside:
+        files = {UPLINK if way is None else way: file for way, file in files.items()}
     formats = [
         format_named(arguments.format) if arguments.format else format_of(file, options)
         for file in files.values()
     ]
-    name = ", ".join(str(file) for file in files.values())
+    every = [each for file in files.values() for each in (file, options.beside.get(file)) if each]
+    name = ", ".join(str(file) for file in every)
     _refuse_flags(arguments, formats, name)
     if PROFILE in formats:
         if len(formats) > 1 or arguments.other_way:
@@ -108,7 +113,7 @@ def run_convert(arguments: argparse.Namespace) -> int:
         profile = to_profile(
             _with_capacity(measured, options), options, name=name, constant_ns=constant_ns
         )
-        source = [file.name for file in files.values()]
+        source = [file.name for file in every]
         origin = {"source": source[0] if len(source) == 1 else source, "format": formats[0].name}
         profile = replace(profile, name=out.stem, metadata={**origin, **profile.metadata})
     write_profile(profile, out)
@@ -137,6 +142,20 @@ def _options(arguments: argparse.Namespace) -> Options:
     if options.seed < 0:
         raise ConfigError(f"--seed: expected none below 0, got {options.seed}")
     return options
+
+
+def _with_receivers(options: Options, inputs: list[Path]) -> tuple[Options, list[Path]]:
+    """The receivers' tables beside the senders' where packets are joined by an id."""
+    if "id" not in options.columns:
+        return options, inputs
+    if len(inputs) not in (2, 4):
+        raise ProfileError(
+            "convert: to join by id expected the sender's table and the receiver's, of one way or "
+            f"of the uplink and then of the downlink, got {len(inputs)} files"
+        )
+    senders, receivers = inputs[::2], inputs[1::2]
+    beside = dict(zip(senders, receivers, strict=True))
+    return replace(options, beside=beside), senders
 
 
 def _refuse_flags(arguments: argparse.Namespace, formats: list[Format], name: str) -> None:

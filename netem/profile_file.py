@@ -119,7 +119,7 @@ def _read_csv(path: Path, name: str) -> DelayProfile:
     rows: list[tuple[int, int]] = []
     further: list[list[float]] = []
     header: list[str] = []
-    with path.open(newline="", encoding="utf-8") as file:
+    with path.open(newline="", encoding="utf-8-sig") as file:
         reader = csv.reader(file)
         try:
             for cells in reader:

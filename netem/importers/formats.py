@@ -66,7 +66,7 @@ FORMATS = (
         "table",
         "columns that --columns names",
         read_table,
-        ("columns", "unit", "clock", *_PACKETS),
+        ("columns", "unit", "lost", "interval", "clock", *_PACKETS),
     ),
     PCAP,
     PROFILE,

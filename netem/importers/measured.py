@@ -100,6 +100,20 @@ def without_unfinished(way: Way, end_ns: int) -> tuple[Way, int]:
     return kept, int((~known).sum())
 
 
+def stepped_back_note(times_ns: np.ndarray) -> tuple[str, ...]:
+    """What to say of times that are not in order as they were written down."""
+    steps = np.diff(times_ns)
+    back = steps[steps < 0]
+    if not len(back):
+        return ()
+    if len(back) == len(steps):
+        return ("the last packets come first: put in order",)
+    return (
+        f"times step back {len(back)} times, by {-int(back.min()) * 1e-9:.6g} s at most: packets "
+        "taken in the order of their times; was a clock set?",
+    )
+
+
 def unfinished_note(count: int) -> tuple[str, ...]:
     """What to say of packets that `without_unfinished` left out."""
     if not count:

@@ -28,7 +28,10 @@ class Load:
 
 @dataclass(frozen=True)
 class Options:
-    """Each importer takes its own of these; pairs are uplink and downlink; None: not said."""
+    """Each importer takes its own of these; pairs are uplink and downlink; None: not said.
+
+    `beside` is the file that belongs to another one: the receiver's to the sender's.
+    """
 
     period_ns: int = PERIOD_NS
     pause: str = "refuse"
@@ -36,6 +39,8 @@ class Options:
     interval_ns: int | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     unit: str | None = None
+    lost: str | None = None
+    beside: Mapping[Path, Path] = field(default_factory=dict)
     clock: str | None = None
     rnti: int | None = None
     robot: str | None = None

@@ -20,6 +20,7 @@ PAUSE_NS = 1_000_000_000
 TREATMENTS = ("refuse", "cut", "lost")
 _MANY = 10
 _TOLD = 3
+_NONE = np.empty((0, 2), np.int64)
 
 
 def usual_spacing_ns(way: Way, period_ns: int) -> int:
@@ -30,11 +31,8 @@ def usual_spacing_ns(way: Way, period_ns: int) -> int:
 
 def without_pauses(measured: Measured, *, name: str, period_ns: int, treatment: str) -> Measured:
     """The measurement with its pauses cut out or lost; `ProfileError` if neither is asked for."""
-    found = [
-        np.empty((0, 2), np.int64) if way is None else _pauses(way, period_ns)
-        for way in measured.ways
-    ]
-    same = np.array_equal(*found)
+    found = [_NONE if way is None else _pauses(way, period_ns) for way in measured.ways]
+    same = np.array_equal(found[0], found[1])
     told = [
         f"{(end - begin) * 1e-9:.6g} s without {'' if same else direction + ' '}packets, "
         f"{(begin - int(way.sent_ns[0])) * 1e-9:.6g} s after the first"
@@ -69,8 +67,8 @@ def _sent(way: Way) -> np.ndarray:
 def _pauses(way: Way, period_ns: int) -> np.ndarray:
     """Begin and end of each pause, (n, 2); the packet before it keeps the usual time."""
     sent, usual_ns = _sent(way), usual_spacing_ns(way, period_ns)
-    at = np.flatnonzero(np.diff(sent) >= max(PAUSE_NS, _MANY * usual_ns)) if usual_ns else []
-    return np.array([(sent[k] + usual_ns, sent[k + 1]) for k in at], np.int64).reshape(-1, 2)
+    long = np.diff(sent) >= max(PAUSE_NS, _MANY * usual_ns)
+    return np.stack([sent[:-1][long] + usual_ns, sent[1:][long]], axis=1) if usual_ns else _NONE
 
 
 def _with_losses(way: Way, begin_ns: np.ndarray) -> Way:

@@ -65,7 +65,11 @@ def to_profile(
             raise ProfileError(f"{name}: every {direction} packet is lost in {n} periods")
         delays.append(way_ns)
         filled[direction] = float((empty & (way_ns != LOST)).mean())
-        for note in _loss_notes(way, way_ns == LOST, empty, lone_losses=lone):
+        surprising = (
+            *_loss_notes(way, way_ns == LOST, empty, lone_losses=lone),
+            *_shared_times_note(way, period_ns),
+        )
+        for note in surprising:
             surprises[note].append(direction)
     notes += [f"{' and '.join(of)}: {note}" for note, of in surprises.items()]
     return DelayProfile(
@@ -182,6 +186,17 @@ def _loss_notes(
             "fewer periods than packets are lost, as a period is lost only with all its packets; "
             "a shorter --period parts them"
         )
+
+
+def _shared_times_note(way: Way, period_ns: int) -> tuple[str, ...]:
+    """What to say of times so coarse that several packets have the same."""
+    sent, times = len(way.sent_ns), len(np.unique(way.sent_ns))
+    if sent < 2 * times or usual_spacing_ns(way, period_ns) <= period_ns:
+        return ()
+    return (
+        f"{sent} packets have only {times} times of sending, and of each the longest delay counts; "
+        "are the times cut short?",
+    )
 
 
 def _binned(series: Series, start_ns: int, n: int, period_ns: int) -> np.ndarray:

@@ -17,7 +17,7 @@ else:  # pragma: no cover
 def read_toml(path: Path, *, what: str) -> dict[str, Any]:
     """Return the table in a file; raise `ConfigError`, which begins with `what`, if it has none."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ConfigError(f"{what}: cannot read {path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

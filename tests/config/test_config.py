@@ -18,6 +18,7 @@ from shared.config.settings import (
     WbcConfig,
     WireConfig,
 )
+from shared.config.toml_file import read_toml
 from shared.errors import ConfigError
 from shared.robots import CATALOGUE
 
@@ -426,3 +427,9 @@ def test_an_outage_that_makes_no_sense_is_refused(text):
 
 def test_a_walk_needs_projectors_that_fit_into_one_message():
     assert "float32" in refusal(task="walk", wire__projector_dtype="float64")
+
+
+def test_a_byte_order_mark_before_a_settings_file_does_not_matter(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_bytes("\ufeffseed = 3\n".encode())
+    assert read_toml(path, what="settings") == {"seed": 3}

@@ -29,6 +29,12 @@ def message_of(path):
     return message
 
 
+def test_a_byte_order_mark_does_not_matter(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes("\ufeff# scenario: my lab\nuplink_ms,downlink_ms\n1,2\n".encode())
+    assert read_profile(path).metadata["scenario"] == "my lab"
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".csv"])
 @settings(max_examples=25, deadline=None)
 @given(delays=st.lists(st.tuples(DELAYS_US, DELAYS_US), min_size=1, max_size=30))

@@ -125,7 +125,7 @@ def test_a_file_that_cannot_be_read_is_refused(refused, tmp_path, file):
         (("--seed", "-1"), "--seed"),
         (("--pause", "skip"), "--pause: expected refuse, cut, lost"),
         (("--lone-loss", "1ms"), "--lone-loss: expected interval or period"),
-        (("--interval", "10ms"), "--interval: only ping takes it"),
+        (("--interval", "10ms"), "--interval: only ping, table takes it"),
         (("--jitter", "10ms"), "--jitter: only netem takes it"),
         (("--other-way", "up"), "--other-way: expected same or constant:5ms"),
         (("--other-way", "constant:5"), "--other-way: expected a duration"),

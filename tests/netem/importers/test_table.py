@@ -5,6 +5,7 @@ import pytest
 from pyarrow import parquet
 
 from netem.profile import DOWNLINK, LOST, UPLINK
+from shared.errors import UserError
 
 MS = 1_000_000
 # The header and the columns of CICV5G; the last row has two columns more, as some of its files.
@@ -107,7 +108,7 @@ def test_parquet_as_deterministic6g_publishes_it_is_known(convert, tmp_path, mis
 
 @pytest.mark.parametrize(
     ("values", "words"),
-    [(["a", "b"], "numbers"), ([float("nan"), 1.0], "finite"), ([1e300, 1.0], "finite")],
+    [([True, False], "numbers"), ([float("inf"), 1.0], "finite"), ([1e300, 1.0], "finite")],
 )
 def test_a_column_of_parquet_without_times_is_refused(refused, tmp_path, values, words):
     file = tmp_path / "a.parquet"
@@ -121,7 +122,6 @@ def test_a_column_of_parquet_without_times_is_refused(refused, tmp_path, values,
     ("row", "words"),
     [
         ("5,x", "delay as a number, got 'x'"),
-        ("5,nan", "delay as a number, got 'nan'"),
         ("5,inf", "delay as a number, got 'inf'"),
         (",5", "sent as a number, got ''"),
         ("lost,5", "sent as a number, got 'lost'"),
@@ -140,17 +140,225 @@ def test_a_wrong_row_is_named_with_its_line(refused, written, row, words):
     ("columns", "words"),
     [
         (("--columns", "sent=t,delay=d2"), "a column d2"),
-        (("--columns", "sent=t"), "expected sent=NAME and received="),
-        (("--columns", "sent=t,size=d"), "expected sent=NAME and received="),
+        (("--columns", "sent=t"), "expected sent=NAME (or --interval) and received="),
+        (("--columns", "sent=t,size=d"), "expected sent=NAME (or --interval) and received="),
+        (("--columns", "delay=d"), "expected sent=NAME (or --interval) and received="),
         (("--columns", "sent=t,uplink=d"), "both uplink= and downlink="),
         (("--columns", "sent=t,delay=e"), "its unit in its name"),
-        (("--columns", "sent=t,delay=e", "--unit", "h"), "its unit in its name"),
+        (("--columns", "sent=t,delay=e", "--unit", "h"), "--unit: expected its unit"),
         (("--columns", "sent"), "expected columns as in"),
     ],
 )
 def test_columns_that_say_too_little_are_refused(refused, written, columns, words):
     file = written("t.csv", "t(s),d(ms),e\n1,2,3\n")
     assert words in refused(file, *columns, "--other-way", "same")
+
+
+# What lost looks like --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mark", ["nan", "NaN", "NA", "N/A", "-", "--", "timeout", "Timed Out", ""])
+def test_what_stands_for_lost_is_lost(convert, written, mark):
+    file = written("t.csv", f"t_s,rtt_ms\n0,20\n0.05,{mark}\n0.1,20\n")
+    profile = convert(file, "--columns", "sent=t_s,rtt=rtt_ms", *EACH[:2])
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, LOST, 10 * MS]
+
+
+@pytest.mark.parametrize("mark", ["0", "-1", "-1.0", "-999", "9999"])
+def test_a_value_that_stands_for_lost_is_named(convert, written, tmp_path, mark):
+    columns = ("--columns", "sent=t_s,rtt=rtt_ms", *EACH[:2], "--lost", f"{float(mark):g}")
+    text = f"t_s,rtt_ms\n0,20\n0.05,{mark}\n0.1,20\n"
+    assert convert(written("t.csv", text), *columns).delays_ns[UPLINK].tolist()[1] == LOST
+    table = pa.table({"t_s": [0.0, 0.05, 0.1], "rtt_ms": [20.0, float(mark), 20.0]})
+    parquet.write_table(table, tmp_path / "t.parquet")
+    assert convert(tmp_path / "t.parquet", *columns).delays_ns[UPLINK].tolist()[1] == LOST
+
+
+@pytest.mark.parametrize("clock", [(), ("--clock", "offset")])
+def test_negatives_that_are_all_one_value_are_no_matter_of_clocks(refused, written, clock):
+    rows = "".join(f"{k / 20},20,{-1 if k % 5 == 1 else 20}\n" for k in range(20))
+    file = written("t.csv", "t_s,u_ms,d_ms\n" + rows)
+    text = refused(file, "--columns", "sent=t_s,uplink=u_ms,downlink=d_ms", *clock)
+    assert "t.csv, line 3: expected downlink as a time, got -1, as in 4 of 20 rows" in text
+    assert "--lost -1" in text
+
+
+def test_a_time_of_receiving_of_zero_is_recognised_too(refused, written):
+    rows = "".join(f"{10**6 + k},{0 if k == 3 else 10**6 + k + 5}\n" for k in range(9))
+    text = refused(written("t.csv", "s(ms),r(ms)\n" + rows), "--columns", "sent=s,received=r")
+    assert "line 5" in text
+    assert "--lost 0" in text
+
+
+def test_clocks_a_millisecond_apart_remain_a_matter_of_clocks(refused, written):
+    rows = "".join(f"{k},{k % 4 - 1}\n" for k in range(20))
+    text = refused(written("t.csv", "s(ms),d(ms)\n" + rows), "--columns", "sent=s,delay=d", *EACH)
+    assert "--clock offset" in text
+
+
+def test_delays_of_exactly_zero_are_told(convert, written):
+    file = written("t.csv", "t_s,rtt_ms\n0,20\n0.05,0\n0.1,20\n")
+    profile = convert(file, "--columns", "sent=t_s,rtt=rtt_ms")
+    assert "1 of 3 rtt values are exactly 0; if lost: --lost 0" in profile.metadata["notes"]
+
+
+# Times as people write them --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("header", "times", "sent"),
+    [
+        ("t", ["2023-11-14T22:13:20.00Z", "2023-11-14T22:13:20.05Z"], "t"),
+        ("t", ["2023-11-14T22:13:20.00+01:00", "2023-11-14T21:13:20.05Z"], "t"),
+        ("t", ["2023-11-14 22:13:20", "2023-11-14 22:13:20.050000000"], "t"),
+        ("t", ["2023/11/14 22:13:20,00", "2023/11/14 22:13:20,05"], "t"),
+        ("t", ["23:59:59.97", "00:00:00.02"], "t"),
+        ("date;time", ["2023-11-14;22:13:20.97", "2023-11-14;22:13:21.02"], "date+time"),
+        ("sec;nanosec", ["7;970000000", "8;20000000"], "sec+nanosec"),
+        ("a.sec;a.nsec", ["7;970000000", "8;20000000"], "a.sec + a.nsec"),
+        ("stampMs", ["970", "1020"], "stampMs"),
+        ("Time (seconds)", ["0.97", "1.02"], "time"),
+        ("time [millis]", ["970", "1020"], "time"),
+        ("elapsed usec", ["970000", "1020000"], "elapsed usec"),
+    ],
+)
+def test_times_are_read_as_people_write_them(convert, written, header, times, sent):
+    text = f"{header};rtt_ms\n{times[0]};20\n{times[1]};21\n"
+    profile = convert(written("t.csv", text), "--columns", f"sent={sent},rtt=rtt_ms", *EACH[:2])
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, 10_500_000]
+
+
+def test_times_of_day_are_said(convert, written):
+    text = "t rtt_ms\n23:59:59.97 20\n00:00:00.02 21\n"
+    profile = convert(written("t.csv", text), "--columns", "sent=t,rtt=rtt_ms")
+    assert any("times of day" in note for note in profile.metadata["notes"])
+
+
+@pytest.mark.parametrize("text", ["2023-13-14 22:13:20", "22:13", "14.11.2023 22:13:20"])
+def test_a_time_that_is_none_is_refused_with_its_line(refused, written, text):
+    file = written("t.csv", f"t,d_ms\n22:13:19,1\n{text},1\n")
+    assert "line 3: expected sent as a date and time" in refused(
+        file, "--columns", "sent=t,delay=d_ms", *EACH
+    )
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_times_in_parquet_have_their_unit(convert, tmp_path, unit):
+    per_s = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
+    stamps = pa.array([(1_700_000_000 + k) * per_s for k in range(3)], pa.timestamp(unit))
+    trips = pa.array([20_000, None, 21_000], pa.duration("us"))
+    parquet.write_table(pa.table({"t": stamps, "rtt": trips}), tmp_path / "t.parquet")
+    profile = convert(tmp_path / "t.parquet", "--columns", "sent=t,rtt=rtt", "--period", "1s")
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, LOST, 10_500_000]
+
+
+def test_times_that_step_back_are_told(convert, written):
+    times = [*range(0, 500, 50), *range(250, 900, 50)]
+    text = "t_ms,rtt_ms\n" + "".join(f"{t},20\n" for t in times)
+    notes = convert(written("t.csv", text), "--columns", "sent=t_ms,rtt=rtt_ms").metadata["notes"]
+    assert any(note.startswith("times step back 1 times, by 0.2 s at most") for note in notes)
+
+
+def test_packets_that_share_times_are_told(convert, written):
+    text = "t_s,rtt_ms\n" + "".join(f"{k // 10},{k}\n" for k in range(100))
+    notes = convert(written("t.csv", text), "--columns", "sent=t_s,rtt=rtt_ms").metadata["notes"]
+    assert any("100 packets have only 10 times of sending" in note for note in notes)
+
+
+# Tables of other shapes ------------------------------------------------------------------------
+
+
+def test_units_may_stand_behind_the_numbers_of_columns(convert, written):
+    file = written("t.csv", "0.00,20\n0.05,21\n")
+    profile = convert(file, "--columns", "sent=1(s),rtt=2(ms)", *EACH[:2])
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, 10_500_000]
+    assert "a column 3(ms) (by number, from 1)" in refused_text(
+        convert, file, "--columns", "sent=1(s),rtt=3(ms)"
+    )
+
+
+def refused_text(convert, *arguments):
+    with pytest.raises(UserError) as error:
+        convert(*arguments)
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "A measurement\nof: a link, and more\n\nt_s,rtt_ms\n0.00,20\n0.05,21\n",
+        "# t_s,rtt_ms\n0.00,20\n0.05,21\n",
+        "\ufefft_s,rtt_ms,note\n0.00,20\n0.05,21,late\n",
+        "t_s|rtt_ms\n0.00|20\n0.05|21\n",
+    ],
+    ids=["preamble", "comment", "BOM and ragged", "bars"],
+)
+def test_a_header_is_found_where_it_is(convert, written, text):
+    file = written("t.csv", text)
+    profile = convert(file, "--columns", "sent=t_s,rtt=rtt_ms", *EACH[:2])
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, 10_500_000]
+
+
+def test_columns_may_be_counted_below_a_header(convert, written):
+    file = written("t.csv", "of a link\nwhen,how long\n0.00,20\n0.05,21\n")
+    profile = convert(file, "--columns", "sent=1(s),rtt=2(ms)", *EACH[:2])
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, 10_500_000]
+    assert any("left out" in note for note in profile.metadata["notes"])
+    message = refused_text(
+        convert, written("u.csv", "0,1\n1,x\n"), "--columns", "sent=1(s),rtt=2(ms)"
+    )
+    assert "line 2: expected rtt as a number, got 'x'" in message
+
+
+def test_delays_alone_are_an_interval_apart(convert, written):
+    file = written("d.txt", "20\n21.5\nlost\n")
+    profile = convert(
+        file, "--columns", "rtt=1", "--unit", "ms", "--interval", "10ms", "--period", "10ms"
+    )
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, 10_750_000, LOST]
+
+
+NEAR = "".join(f"{10**9 + k * 50 * MS},{k:04x}\n" for k in range(20))
+FAR = "".join(f"{10**9 + k * 50 * MS + 4550},{k:04x}\n" for k in range(20) if k != 7)
+JOIN = ("--columns", "time=1(ns),id=2")
+
+
+def test_two_tables_are_joined_by_an_id(convert, written):
+    files = written("near.csv", NEAR), written("far.csv", FAR + "9,strange\n")
+    profile = convert(*files, *JOIN, *EACH)
+    assert profile.delays_ns[UPLINK].tolist() == [LOST if k == 7 else 4550 for k in range(20)]
+    assert profile.metadata["source"] == ["near.csv", "far.csv"]
+    assert any("1 ids that only far.csv has" in note for note in profile.metadata["notes"])
+    answers = written("far2.csv", FAR), written("near2.csv", NEAR)
+    profile = convert(*files[:1], written("f.csv", FAR), *answers, *JOIN, "--clock", "offset")
+    assert profile.metadata["packets"] == {"uplink": 20, "downlink": 19}
+
+
+def test_tables_with_an_id_may_have_names_of_their_own(convert, written):
+    near, far = (
+        written("n.csv", "seq,tx_ns\n" + swapped(NEAR)),
+        written("f.csv", "rx_ns,seq\n" + FAR),
+    )
+    profile = convert(near, far, "--columns", "sent=tx_ns,received=rx_ns,id=seq", *EACH)
+    assert profile.delays_ns[UPLINK].tolist() == [LOST if k == 7 else 4550 for k in range(20)]
+
+
+def swapped(rows):
+    return "".join(",".join(reversed(row.split(","))) + "\n" for row in rows.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("near", "far", "columns", "words"),
+    [
+        (NEAR + "5,0003\n", FAR, JOIN, "line 21: expected an id of its own, got '0003'"),
+        (NEAR, "7,x\n", JOIN, "the same ids in both, found none"),
+        (NEAR, FAR, ("--columns", "rtt=1(ns),id=2"), "a time and an id"),
+    ],
+)
+def test_tables_that_cannot_be_joined_are_refused(refused, written, near, far, columns, words):
+    files = written("n.csv", near), written("f.csv", far)
+    assert words in refused(*files, *columns, *EACH)
+    assert "got 1 files" in refused(files[0], *columns)
 
 
 def test_milliseconds_taken_for_seconds_are_refused_as_hours(refused, written):

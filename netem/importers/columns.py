@@ -1,0 +1,123 @@
+"""Columns of tables: which ones a user means, and what a cell of them says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from netem.importers.options import Options
+from netem.importers.source import nanoseconds, wrong
+from netem.importers.times import bare, date_time_ns, unit_ns
+from shared.errors import ConfigError
+
+LOST_NS = int(np.iinfo(np.int64).min)
+TIMES = ("sent", "received", "time")
+_LOST = frozenset(
+    ("", "lost", "none", "null", "nan", "na", "n/a", "-", "--", "*", "timeout", "timed out", "loss")
+)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a value stands: one column or several in one, and how many ns their units have."""
+
+    at: tuple[int, ...]
+    units_ns: tuple[int | None, ...]
+
+
+@dataclass
+class Read:
+    """Values [ns] by meaning, `LOST_NS` where lost; `rows` says where each stands, `ids` which.
+
+    `units_ns` of those that are numbers of a unit.
+    """
+
+    values: dict[str, np.ndarray]
+    rows: Sequence[str]
+    units_ns: Mapping[str, int | None]
+    ids: list[str] = field(default_factory=list)
+    notes: tuple[str, ...] = ()
+
+
+def found_in(name: str, names: list[str]) -> list[int]:
+    """Where a column is, or the several that `+` puts together; empty if one is missing."""
+    lower = [each.lower() for each in names]
+    bared = [bare(each) for each in lower]
+    for parts in ([name], name.split("+")):
+        at = []
+        for part in (part.strip().lower() for part in parts):
+            among = lower if part in lower else bared
+            key = part if part in among else bare(part)
+            if key in among:
+                at.append(among.index(key))
+        if len(at) == len(parts):
+            return at
+    return []
+
+
+def place_of(
+    path: Path, where: str, name: str, names: list[str], unit: str | None, first: list[str]
+) -> Place:
+    """Where a column is, and how many ns its unit has."""
+    at = found_in(name, names)
+    parts = name.split("+") if len(at) != 1 else [name]
+    if not names:
+        at = [int(bare(part)[:9]) - 1 for part in parts]
+        if not all(0 <= k < len(first) for k in at):
+            raise wrong(path, where, f"a column {name} (by number, from 1)", ", ".join(first))
+    given = None
+    if unit is not None:
+        given = unit_ns("", unit.strip())
+        if given is None:
+            raise ConfigError(f"{path}: --unit: expected its unit as s, ms, us or ns, got {unit!r}")
+    columns = [names[k] if names else "" for k in at]
+    units = [unit_ns(part, column) for part, column in zip(parts, columns, strict=True)]
+    return Place(tuple(at), tuple(own or given for own in units))
+
+
+def units_ns(places: Mapping[str, Place]) -> dict[str, int | None]:
+    return {key: place.units_ns[0] for key, place in places.items() if len(place.at) == 1}
+
+
+def value_ns(
+    written: list[str],
+    place: Place,
+    key: str,
+    separator: str | None,
+    options: Options,
+    path: Path,
+    where: str,
+) -> int:
+    cell = " ".join(written)
+    if key not in ("sent", "time") and is_lost(cell, options):
+        return int(LOST_NS)
+    if key in TIMES and ":" in cell:
+        time = date_time_ns(cell)
+        if time is None:
+            raise wrong(path, where, f"{key} as a date and time", cell)
+        return time
+    total = 0
+    for text, unit in zip(written, place.units_ns, strict=True):
+        if unit is None:
+            raise ConfigError(
+                f"{path}, {where}: {key}: expected its unit in its name, as in NAME(ms), or --unit "
+                f"as one of s, ms, us, ns; got {cell!r} without one"
+            )
+        number = text if separator == "," else text.replace(",", ".")
+        total += nanoseconds(number, unit, path, where, f"{key} as a number")
+    return total
+
+
+def is_lost(cell: str, options: Options) -> bool:
+    """Whether a delay says that there is none."""
+    if cell.lower() in _LOST or cell == options.lost:
+        return True
+    if options.lost is None:
+        return False
+    try:
+        return float(cell) == float(options.lost)
+    except ValueError:
+        return False
