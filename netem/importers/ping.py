@@ -1,14 +1,18 @@
-"""Logs of `ping`: iputils (also `-D` and `-O`), macOS, the BSDs and busybox, IPv4 and IPv6.
+"""Logs of pings: iputils (also `-D` and `-O`), macOS, the BSDs, busybox, fping and Windows.
 
     [1795299931.544576] 64 bytes from 10.0.0.1: icmp_seq=1 ttl=64 time=0.092 ms
+    [1795299931.544576] 10.0.0.1 : [0], 64 bytes, 12.3 ms (12.3 avg, 0% loss)
+    Reply from 10.0.0.1: bytes=32 time=87ms TTL=51
 
-A number without a reply is a loss. With `-D` a line tells when the reply came, which is the time of
-sending plus the round trip; otherwise pings are an interval apart. Numbers wrap after 65535.
+A number without a reply is a loss; Windows has no numbers, and every line is a ping. A time before
+a line tells when the reply came, which is the time of sending plus the round trip. Without such
+times pings are an interval apart. Numbers wrap after 65535, those of fping do not.
 """
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -17,74 +21,149 @@ from netem.importers.irtt import HALF_NOTE
 from netem.importers.measured import Measured, halved
 from netem.importers.options import Options
 from netem.importers.resample import MAX_PERIODS, check_span
-from netem.importers.source import content_lines, nanoseconds, whole, wrong
+from netem.importers.source import content_lines, is_unfinished, lines, nanoseconds, whole, wrong
+from netem.importers.stamps import stamped
+from netem.importers.times import past_midnight
 from shared.errors import ProfileError
 
 _SECOND = 1_000_000_000
-_STAMP = re.compile(r"\[(\d{1,12}(?:\.\d{1,9})?)\]")
 _NUMBER = re.compile(r"(?:icmp_|\b)(?:seq|req)[= ](\d+)")
-# "time=0.092 ms", and as it is in other languages: "Zeit=0,092 ms".
-_TIME = re.compile(r"[=<] ?(\d+(?:[.,]\d+)?) ?ms(?=\s|$)")
-# What begins like a reply: "64 bytes from ", or the time that -D puts before it.
-_REPLY = re.compile(r"\s*(?:\[|(?:\d\d:\d\d:\d\d\.\d+ )?\d+ [^\W\d]+ [^\W\d]+ )")
+_MS = "(?:ms|毫秒|мсек|мс|ミリ秒|밀리초)"
+# "time=0.092 ms", and as it is in other languages: "Zeit=0,092 ms", "时间=9.72 毫秒".
+_TIME = re.compile(rf"([=<]) ?(\d+(?:[.,]\d+)?) ?{_MS}(?=\s|$)")
+_FPING = re.compile(
+    r"(?P<host>\S+)\s*: \[(?P<number>\d+)\], (?:(?P<size>\d+) bytes, (?P<time>[\d.]+) ms|timed out)"
+)
+# Of Windows in any language; of its IPv6 the time ends the line: "Reply from ::1: time<1ms".
+_WINDOWS = re.compile(rf"[=<] ?\d+ ?{_MS} .*TTL=\d+|: \w+ ?[=<] ?\d+ ?{_MS}\s*$")
+_WINDOWS_SENT = re.compile(r"= (\d{1,9})\D+= (\d{1,9})\D+= (\d{1,9}) \(")
+# What begins like a reply: "64 bytes from ", or a time that was not finished.
+_REPLY = re.compile(r"\s*(?:\[|\d+ [^\W\d]+ [^\W\d]+ )")
 _COMPLAINT = re.compile(
     r"no answer|unreachable|exceeded|redirect|quench|filtered|prohibited", re.IGNORECASE
 )
 _HEADING = re.compile(r"PING6?[ (]")
-_SIZE = re.compile(r"(?:^|\] ?|\s)(\d+) \w+ \w+ ")
-_SENT = re.compile(r"\b(\d{1,9}) packets transmitted")
+_SIZE = re.compile(r"^(\d+)[^\d:]+ ")
+# "3 packets transmitted, 2 received, 33% packet loss, time 2003ms" in any language.
+_SENT = re.compile(rf"^\D{{0,20}}(\d{{1,9}})\D+\d{{1,9}}\D[^%]*%(?:.*?(\d{{1,12}}) ?{_MS}\s*$)?")
 _WRAP = 65536
+_STEP_NS = 10_000_000
+
+
+@dataclass
+class _Log:
+    """Round trips [ns] and times at which replies came, by number, and what else a log says."""
+
+    trips: dict[int, int] = field(default_factory=dict)
+    came: dict[int, int] = field(default_factory=dict)
+    seen: set[int] = field(default_factory=set)
+    size: int | None = None
+    transmitted: int | None = None
+    took_ns: int | None = None
+    notes: list[str] = field(default_factory=list)
 
 
 def is_ping(start: str) -> bool:
     """Whether a file that begins so is a log of pings."""
-    return any(
-        _HEADING.match(line) or (_NUMBER.search(line) and _TIME.search(line))
-        for line in start.splitlines()
+    texts = [stamped(line)[1] for line in start.splitlines()]
+    return _is_windows(texts) or any(
+        _HEADING.match(text) or _FPING.match(text) or (_NUMBER.search(text) and _TIME.search(text))
+        for text in texts
     )
 
 
 def read_ping(path: Path, options: Options, direction: int) -> Measured:
     """Both ways, half the round trip each; `ProfileError` with the line that is wrong."""
-    trips: dict[int, int] = {}
-    came: dict[int, int] = {}
-    unanswered: set[int] = set()
-    size, transmitted, last, heading = None, None, 0, ""
-    for line, text in content_lines(path):
-        where = f"line {line}"
+    windows = _is_windows([stamped(text)[1] for _, text in content_lines(path, comments="")])
+    log = _windows(path) if windows else _numbered(path)
+    if not log.trips:
+        raise ProfileError(f"{path}: expected replies to pings, found none")
+    return _measured(path, options, log, _numbers(path, log.seen, log.transmitted))
+
+
+def _is_windows(texts: list[str]) -> bool:
+    return any(_WINDOWS.search(text) for text in texts) and not any(
+        _NUMBER.search(text) or _FPING.match(text) for text in texts
+    )
+
+
+def _numbered(path: Path) -> _Log:
+    log, last, heading, host = _Log(), 0, "", ""
+    for line, written in content_lines(path):
+        where, (stamp, text) = f"line {line}", stamped(written)
         if _HEADING.match(text):
             if heading:
                 raise wrong(path, where, f"one run of ping, begun at {heading}", text)
             heading = where
-        if heading and (match := _SENT.search(text)):
-            transmitted = int(match[1])
-        sequence, time = _NUMBER.search(text), _TIME.search(text)
-        torn = _REPLY.match(text) and (sequence is None or time is None)
+        fping, sequence, time = _FPING.match(text), _NUMBER.search(text), _TIME.search(text)
+        if fping:
+            if host not in ("", fping["host"]):
+                raise wrong(path, where, f"one host, {host}", fping["host"])
+            host, number, trip, size = fping["host"], fping["number"], fping["time"], fping["size"]
+        elif sequence:
+            number, trip = sequence[1], time[2] if time else None
+            size = match[1] if (match := _SIZE.search(text)) else None
+        elif heading and (match := _SENT.search(text)):
+            log.transmitted = int(match[1])
+            log.took_ns = int(match[2]) * _SECOND // 1000 if match[2] else None
+            continue
+        torn = _REPLY.match(text) and not fping and (sequence is None or time is None)
         if torn and not _COMPLAINT.search(text):
+            if is_unfinished(path, line):
+                log.notes.append(f"{where}, unfinished: left out")
+                break
             raise wrong(path, where, "a reply as in icmp_seq=1 ttl=64 time=0.092 ms", text)
-        if sequence is None:
+        if fping:
+            last = whole(number, path, where, "a number", low=0, high=2**40)
+        elif sequence:
+            expected = "a sequence number from 0 to 65535"
+            wrapped = whole(number, path, where, expected, low=0, high=_WRAP - 1)
+            half = _WRAP // 2 if log.seen else 0
+            last += (wrapped - last + half) % _WRAP - half if half else wrapped - last
+        else:
             continue  # a heading, statistics, a complaint without a number
-        wrapped = whole(
-            sequence[1], path, where, "a sequence number from 0 to 65535", low=0, high=_WRAP - 1
-        )
-        last += (
-            (wrapped - last + _WRAP // 2) % _WRAP - _WRAP // 2
-            if trips or unanswered
-            else (wrapped - last)
-        )
-        unanswered.add(last)
-        if time is None or last in trips:
+        log.seen.add(last)
+        if trip is None or last in log.trips:
             continue  # lost, or a duplicate
-        trips[last] = nanoseconds(
-            time[1].replace(",", "."), _SECOND // 1000, path, where, "a round trip in ms"
-        )
-        if stamp := _STAMP.search(text):
-            came[last] = nanoseconds(stamp[1], _SECOND, path, where, "a time in s")
-        if size is None and (match := _SIZE.search(text)):
-            size = int(match[1][:9])
-    if not trips:
-        raise ProfileError(f"{path}: expected replies to pings, found none")
-    return _measured(path, options, trips, came, _numbers(path, unanswered, transmitted), size)
+        ms = trip.replace(",", ".")
+        log.trips[last] = nanoseconds(ms, _SECOND // 1000, path, where, "a round trip in ms")
+        if stamp is not None:
+            log.came[last] = stamp
+        if log.size is None and size:
+            log.size = int(size[:9])
+    return log
+
+
+def _windows(path: Path) -> _Log:
+    """Each line between the heading, or the first reply, and a blank line is a ping."""
+    log, begun, ended, below = _Log(), False, False, 0
+    for line, written in lines(path):
+        where, (stamp, text) = f"line {line}", stamped(written)
+        reply = _WINDOWS.search(text)
+        if not text.strip():
+            ended = ended or bool(log.seen)
+        elif ended:
+            if reply:
+                raise wrong(path, where, "one run of ping", text)
+            match = _WINDOWS_SENT.search(text)
+            if match and int(match[1]) != len(log.seen):
+                raise wrong(path, where, f"{len(log.seen)} pings sent", text)
+        elif reply:
+            time = _TIME.search(text)
+            assert time is not None
+            below += time[1] == "<"
+            number = len(log.seen)
+            log.seen.add(number)
+            ms = time[2].replace(",", ".")
+            log.trips[number] = nanoseconds(ms, _SECOND // 1000, path, where, "a round trip in ms")
+            if stamp is not None:
+                log.came[number] = stamp
+        elif begun or log.seen:
+            log.seen.add(len(log.seen))
+        begun = begun or text.rstrip().endswith(":")
+    if below:
+        log.notes.append(f"{below} round trips of less than 1 ms taken as 1 ms")
+    return log
 
 
 def _numbers(path: Path, seen: set[int], transmitted: int | None) -> np.ndarray:
@@ -98,36 +177,68 @@ def _numbers(path: Path, seen: set[int], transmitted: int | None) -> np.ndarray:
     return np.arange(first, last + 1)
 
 
-def _measured(
-    path: Path,
-    options: Options,
-    trips: dict[int, int],
-    came: dict[int, int],
-    numbers: np.ndarray,
-    size: int | None,
-) -> Measured:
-    notes = [HALF_NOTE, "a ping without a reply counts as lost on both ways"]
-    answered = np.array(sorted(trips))
+def _measured(path: Path, options: Options, log: _Log, numbers: np.ndarray) -> Measured:
+    notes = [HALF_NOTE, "a ping without a reply counts as lost on both ways", *log.notes]
+    answered = np.array(sorted(log.trips))
     round_trip = np.zeros(len(numbers), dtype=np.int64)
-    round_trip[answered - numbers[0]] = [trips[n] for n in answered.tolist()]
+    round_trip[answered - numbers[0]] = [log.trips[n] for n in answered.tolist()]
     lost = np.ones(len(numbers), dtype=bool)
     lost[answered - numbers[0]] = False
-    interval = options.interval_ns
-    span = int(numbers[-1] - numbers[0])
-    if len(came) == len(trips) > 1:
-        times = np.array([came[n] - trips[n] for n in answered.tolist()])
+    known = np.array(sorted(log.came))
+    came = past_midnight(np.array([log.came[n] for n in known.tolist()], dtype=np.int64))
+    interval, said = _interval(options, log, known, came)
+    if len(known) > 1 and np.ptp(came) and (came % _SECOND).any():
+        times = came - [log.trips[n] for n in known.tolist()]
         if interval is None:
-            interval = int(np.median(np.diff(times) // np.diff(answered)))
-        sent = _along(numbers, answered, times, max(interval, 1))
+            interval = max(int(np.median(np.diff(times) // np.diff(known))), 1)
+        times, steps = _without_steps(known, times, interval)
+        notes += steps
+        sent = _along(numbers, known, times, interval)
     else:
         if interval is None:
             interval = _SECOND
-            notes.append("no times in the log: pings taken to be 1 s apart; --interval says other")
-        check_span(path, span * interval, options.period_ns)
+            said = "no times in the log: pings taken to be 1 s apart; --interval says other"
+        if said:
+            notes.append(said)
+        check_span(path, int(numbers[-1] - numbers[0]) * interval, options.period_ns)
         sent = (numbers - numbers[0]) * interval
     rate_hz = round(_SECOND / interval, 3) if interval > 0 else None
-    ways = halved(sent, round_trip, lost, message_bytes=size, rate_hz=rate_hz)
+    ways = halved(sent, round_trip, lost, message_bytes=log.size, rate_hz=rate_hz)
     return Measured(ways, tuple(notes), {"split": "half"})
+
+
+def _interval(
+    options: Options, log: _Log, known: np.ndarray, came: np.ndarray
+) -> tuple[int | None, str]:
+    """Time between pings [ns] and where it is from, where the times of replies do not tell it."""
+    if options.interval_ns is not None:
+        return options.interval_ns, ""
+    coarse = len(known) > 1 and not (came % _SECOND).any()
+    if (len(known) < 2 or coarse) and log.took_ns and log.transmitted and log.transmitted > 1:
+        interval = log.took_ns // (log.transmitted - 1)
+        return interval, f"pings taken to be {interval * 1e-6:g} ms apart, as the summary says"
+    if coarse and came[-1] > came[0]:
+        interval = int((came[-1] - came[0]) // (known[-1] - known[0]))
+        return interval, (
+            f"times of whole seconds: pings taken to be {interval * 1e-6:g} ms apart, as between "
+            "the first and the last"
+        )
+    return None, ""
+
+
+def _without_steps(
+    known: np.ndarray, times: np.ndarray, interval: int
+) -> tuple[np.ndarray, list[str]]:
+    """Times of sending as of a clock that was not set back [ns], and what to say of those steps."""
+    passed, expected = np.diff(times), np.diff(known) * interval
+    back = passed < np.minimum(0, expected - _STEP_NS)
+    shifts = np.append(0, np.cumsum(np.where(back, expected - passed, 0)))
+    notes = [
+        f"the clock was set back by {(expected[k] - passed[k]) * 1e-9:.3g} s before the ping "
+        f"number {known[k + 1]}: taken to go on"
+        for k in np.flatnonzero(back)[:3]
+    ]
+    return times + shifts, notes
 
 
 def _along(

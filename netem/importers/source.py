@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import itertools
 import math
 import zlib
 from collections.abc import Iterator
@@ -78,6 +79,13 @@ def content_lines(path: Path, *, comments: str = "#") -> Iterator[tuple[int, str
     return (
         (n, line) for n, line in lines(path) if line.strip() and line.lstrip()[0] not in comments
     )
+
+
+def is_unfinished(path: Path, line: int) -> bool:
+    """Whether that line is the last one and has no end: whoever wrote it was stopped."""
+    with opened(path) as file:
+        text = io.TextIOWrapper(file, encoding=_encoding(file.peek(3)), errors="replace")
+        return not next(itertools.islice(text, line - 1, None), "\n").endswith("\n")
 
 
 def wrong(path: Path, where: str, expected: str, got: object) -> ProfileError:

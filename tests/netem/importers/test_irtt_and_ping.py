@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from datetime import datetime, timezone
 
 import pytest
 
@@ -289,6 +290,167 @@ def test_a_wrong_line_of_a_log_is_named(refused, written, line, words):
     text = refused(written("p.log", log(reply(1, 4), line)))
     assert "p.log, line 3: expected" in text
     assert words in text
+
+
+def test_an_unfinished_last_line_is_left_out_and_told(convert, written):
+    for torn in ("64 bytes from 10.0.0.1: icm", "64 bytes from 10.0.0.1: icmp_seq=3 tt", "[179529"):
+        text = log(reply(1, 4), reply(2, 8)) + torn
+        profile = convert(written("p.log", text), "--interval", "1ms")
+        assert profile.delays_ns[UPLINK].tolist() == [2 * MS, 4 * MS]
+        assert "line 4, unfinished: left out" in profile.metadata["notes"]
+
+
+STAMPS = {
+    "-D": "[{t:.6f}] ",
+    "epoch": "{t:.3f} ",
+    "epoch in ms": "{ms} ",
+    "ISO": "{d:%Y-%m-%dT%H:%M:%S.%f}+00:00 ",
+    "date time": "[{d:%Y-%m-%d %H:%M:%S.%f}] ",
+    "comma": "{d:%Y/%m/%d %H:%M:%S.%f}, ",
+    "ts": "{d:%b %d %H:%M:%S.%f} ",
+    "date": "{d:%a %b %e %H:%M:%S.%f} CET {d:%Y}: ",
+    "date of other order": "{d:%a %d %b %Y %I:%M:%S.%f} {d:%p} UTC ",
+    "time of day": "{d:%H:%M:%S.%f} ",
+}
+
+
+@pytest.mark.parametrize("heading", [False, True])
+@pytest.mark.parametrize("stamp", STAMPS)
+def test_a_time_before_a_line_tells_when_the_reply_came(convert, written, stamp, heading):
+    # Across midnight, 0.1 s apart; the third one is lost.
+    start = 1_700_006_399.9
+    lines = ["PING 10.0.0.1 (10.0.0.1) 56(84) bytes of data."]
+    stamps = [start]
+    for k in (0, 1, 3, 4):
+        lines.append(reply(k + 1, 20 + k))
+        stamps.append(start + k / 10 + (20 + k) / 1000)
+    lines += [
+        "",
+        "--- 10.0.0.1 ping statistics ---",
+        "5 packets transmitted, 4 received, 20% packet loss",
+    ]
+    stamps += [stamps[-1]] * 3
+    text = ""
+    for k, (line, t) in enumerate(zip(lines, stamps, strict=True)):
+        d = datetime.fromtimestamp(round(t, 3), timezone.utc)
+        written_stamp = STAMPS[stamp].format(t=t, ms=round(t * 1000), d=d)
+        text += (written_stamp if heading or 1 <= k <= 4 else "") + line + "\n"
+    profile = convert(written("p.log", text), "--period", "100ms")
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, 10_500_000, LOST, 11_500_000, 12 * MS]
+    assert profile.metadata["packets"] == {"uplink": 5, "downlink": 5}
+
+
+def test_the_interval_is_that_of_the_summary_where_no_times_are(convert, written):
+    tail = "\n4 packets transmitted, 4 received, 0% packet loss, time 30ms\nrtt min/avg = 2/2 ms\n"
+    file = written("p.log", log(*(reply(k, 2) for k in range(1, 5)), tail=tail))
+    profile = convert(file)
+    assert profile.delays_ns.shape == (2, 31)
+    assert any("10 ms apart, as the summary says" in note for note in profile.metadata["notes"])
+    assert convert(file, "--interval", "5ms").delays_ns.shape == (2, 16)
+
+
+def test_times_of_whole_seconds_do_not_crowd_the_pings_of_a_second(convert, written):
+    lines = [f"[{1_700_000_000 + k // 5}] {reply(k, 2)}" for k in range(11)]
+    profile = convert(written("p.log", log(*lines)))
+    assert profile.delays_ns.shape == (2, 2001)
+    assert any("whole seconds" in note for note in profile.metadata["notes"])
+
+
+def test_a_clock_that_was_set_back_during_a_log_is_told_and_goes_on(convert, written):
+    lines = [f"[{1_700_000_000.002 + k / 10 - 5 * (k > 6):.6f}] {reply(k, 2)}" for k in range(20)]
+    profile = convert(written("p.log", log(*lines)))
+    assert abs(profile.delays_ns.shape[1] - 1901) <= 1
+    assert any("set back by 5 s before the ping number 7" in n for n in profile.metadata["notes"])
+
+
+def test_a_clock_that_was_set_forward_is_refused_as_a_pause(refused, written):
+    lines = [f"[{1_700_000_000 + k / 10 + 5 * (k > 6):.6f}] {reply(k, 2)}" for k in range(20)]
+    assert "5 s without packets" in refused(written("p.log", log(*lines)))
+
+
+@pytest.mark.parametrize("unit", ["ms", "毫秒", "мс", "ミリ秒"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "64 字节，来自 192.0.2.7: icmp_seq={n} ttl=118 时间=9.72 {unit}",
+        "64 байт от 192.0.2.7: icmp_seq={n} ttl=118 время=9,72 {unit}",
+    ],
+)
+def test_milliseconds_are_understood_in_other_scripts(convert, written, line, unit):
+    text = log(*(line.format(n=n, unit=unit) for n in (1, 3)), heading="PING 192.0.2.7\n")
+    text += f"\n已发送 3 个包， 已接收 2 个包, 33.3% packet loss, time 20{unit}\n"
+    profile = convert(written("p.log", text), "--period", "10ms")
+    assert profile.delays_ns[UPLINK].tolist() == [4_860_000, LOST, 4_860_000]
+
+
+WINDOWS = {
+    "en": (
+        "\nPinging h [192.0.2.7] with 32 bytes of data:\n{lines}\nPing statistics:\n"
+        "    Packets: Sent = 4, Received = 3, Lost = 1 (25% loss),\n",
+        "Reply from 192.0.2.7: bytes=32 time={t}ms TTL=51",
+        "Request timed out.",
+    ),
+    "de": (
+        "\nPing wird ausgeführt für 192.0.2.7 mit 32 Bytes Daten:\n{lines}\nPing-Statistik:\n"
+        "    Pakete: Gesendet = 4, Empfangen = 3, Verloren = 1\n    (25% Verlust),\n",
+        "Antwort von 192.0.2.7: Bytes=32 Zeit={t}ms TTL=51",
+        "Zeitüberschreitung der Anforderung.",
+    ),
+    "ru": (
+        "\nОбмен пакетами с 192.0.2.7 по с 32 байтами данных:\n{lines}\n",
+        "Ответ от 192.0.2.7: число байт=32 время={t}мс TTL=51",
+        "Превышен интервал ожидания для запроса.",
+    ),
+    "IPv6": (
+        "Pinging 2001:db8::1 with 32 bytes of data:\n{lines}\n",
+        "Reply from 2001:db8::1: time={t}ms ",
+        "Reply from 2001:db8::2: Destination host unreachable.",
+    ),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize("language", WINDOWS)
+def test_the_pings_of_windows_are_read_in_any_language(convert, written, language, encoding):
+    frame, answer, lost = WINDOWS[language]
+    lines = [lost, *(answer.format(t=t) for t in (87, 12, 13))]
+    text = frame.format(lines="\n".join(lines) + "\n").replace("\n", "\r\n")
+    profile = convert(
+        written("p.txt", text.encode(encoding)), "--interval", "10ms", "--period", "10ms"
+    )
+    assert profile.delays_ns[UPLINK].tolist() == [LOST, 43_500_000, 6 * MS, 6_500_000]
+    assert profile.metadata["format"] == "ping"
+
+
+def test_windows_that_says_other_numbers_than_its_lines_is_refused(refused, written):
+    frame, answer, _ = WINDOWS["en"]
+    text = frame.format(lines=answer.format(t=5) + "\n")
+    assert "expected 1 pings sent" in refused(written("p.txt", text))
+    two = frame.replace("4", "1").replace("3", "1").format(lines=answer.format(t=5) + "\n") * 2
+    assert "one run of ping" in refused(written("p.txt", two))
+
+
+def test_a_time_below_a_millisecond_is_said(convert, written):
+    frame, answer, _ = WINDOWS["IPv6"]
+    text = frame.format(lines=answer.format(t=5).replace("=5", "<1") + "\n")
+    notes = convert(written("p.txt", text)).metadata["notes"]
+    assert any("less than 1 ms taken as 1 ms" in note for note in notes)
+
+
+def test_fping_is_read_with_its_times(convert, refused, written):
+    lines = [
+        "[{t:.5f}] 192.0.2.7 : [0], 64 bytes, 12.3 ms (12.3 avg, 0% loss)",
+        "[{t:.5f}] 192.0.2.7 : [1], timed out (NaN avg, 50% loss)",
+        "[{t:.5f}] 192.0.2.7 : [2], 64 bytes, 11.3 ms (11.8 avg, 33% loss)",
+    ]
+    text = "".join(line.format(t=1_700_000_000.1 + k / 10) + "\n" for k, line in enumerate(lines))
+    profile = convert(written("f.txt", text), "--period", "100ms")
+    assert profile.delays_ns[UPLINK].tolist() == [6_150_000, LOST, 5_650_000]
+    assert profile.metadata["uplink_bytes"] == 64
+    text += "[1700000000.5] 192.0.2.8 : [0], 64 bytes, 12.3 ms (12.3 avg, 0% loss)\n"
+    assert "line 4: expected one host, 192.0.2.7, got '192.0.2.8'" in refused(
+        written("f.txt", text)
+    )
 
 
 def test_a_log_without_replies_is_refused(refused, written):
