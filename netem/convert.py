@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from netem.importers.both_ways import files_by_way, read_both_ways
+from netem.importers.both_ways import files_by_way, read_both_ways, way_in_name
 from netem.importers.formats import FORMATS, PROFILE, Format, format_named, format_of
 from netem.importers.measured import Measured, with_one_clock
+from netem.importers.ns3 import is_ns3_sendings
 from netem.importers.ns3_phy import NOTE, read_phy
 from netem.importers.options import (
     Options,
@@ -25,7 +26,8 @@ from netem.importers.options import (
 )
 from netem.importers.pauses import TREATMENTS
 from netem.importers.resample import to_profile
-from netem.profile import DIRECTIONS, LOST, UPLINK, DelayProfile
+from netem.importers.source import first_line
+from netem.profile import DIRECTIONS, DOWNLINK, LOST, UPLINK, DelayProfile
 from netem.profile_file import read_profile, write_profile
 from netem.statistics import delays_ms, longest_run
 from shared.config.quantities import parse_duration_ns
@@ -45,7 +47,9 @@ _FLAGS: tuple[tuple[str, str, Callable[[str], Any], str, str], ...] = (
     ("lost", "lost", str, "-1", "what stands for a lost packet in a table, beside nan, empty, …"),
     ("clock", "clock", str, "offset", "two clocks: offset (shortest delays equal) or half (of the "
      "round trip each way)"),
-    ("rnti", "rnti", int, "N", "the terminal, in ns-3's files of several"),
+    ("imsi", "imsi", int, "N", "the terminal, in ns-3's files of several"),
+    ("cell", "cell", int, "N", "the cell, in ns-3's files of several"),
+    ("rnti", "rnti", int, "N", "the terminal's number in its cell"),
     ("phy", "phy", Path, "FILE", "RxPacketTrace.txt of the same run: capacity"),
     ("robot", "robot", str, "ADDRESS", "the robot's IP address in captures"),
     ("load", "load", lambda t: per_way(t, parse_load), "1000B@1kHz/40000B@1kHz",
@@ -93,8 +97,9 @@ def run_convert(arguments: argparse.Namespace) -> int:
         raise ProfileError(f"convert: expected the profile to write last, .npz or .csv, got {out}")
     options = _options(arguments)
     options, inputs = _with_receivers(options, inputs)
+    options, inputs = _with_sendings(options, inputs, arguments)
     files = files_by_way(inputs, arguments.uplink, arguments.downlink)
-    if options.beside:
+    if "id" in options.columns:
         files = {UPLINK if way is None else way: file for way, file in files.items()}
     formats = [
         format_named(arguments.format) if arguments.format else format_of(file, options)
@@ -158,6 +163,28 @@ def _with_receivers(options: Options, inputs: list[Path]) -> tuple[Options, list
     return replace(options, beside=beside), senders
 
 
+def _with_sendings(
+    options: Options, inputs: list[Path], arguments: argparse.Namespace
+) -> tuple[Options, list[Path]]:
+    """ns-3's sendings beside the receptions of the same way."""
+    sendings = [file for file in inputs if is_ns3_sendings(first_line(file))]
+    rest = [file for file in inputs if file not in sendings]
+    named = {UPLINK: arguments.uplink, DOWNLINK: arguments.downlink}
+    ways: dict[Path, int | None]
+    ways = {file: way for way, file in named.items() if file is not None}
+    ways |= {file: way_in_name(file) for file in rest}
+    if not sendings or not ways:
+        return options, inputs
+    beside = {}
+    for file in sendings:
+        way = way_in_name(file)
+        of = [each for each, other in ways.items() if len(ways) == 1 or other == way]
+        if len(of) != 1 or of[0] in beside:
+            raise ProfileError(f"{file}: expected the receptions of the same sendings beside it")
+        beside[of[0]] = file
+    return replace(options, beside=beside), rest
+
+
 def _refuse_flags(arguments: argparse.Namespace, formats: list[Format], name: str) -> None:
     """A flag that none of the formats takes is a mistake, and not passed over."""
     for flag, field, *_ in _FLAGS:
@@ -203,6 +230,11 @@ def _losses_in_words(profile: DelayProfile, direction: int, *, imported: bool) -
     name = DIRECTIONS[direction]
     if imported and name in profile.metadata["packets"]:
         sent, missing = (profile.metadata[key][name] for key in ("packets", "packets_lost"))
-        words.insert(0, f"{missing} of {sent} packets lost ({100 * missing / sent:.2f} %)")
+        words.insert(
+            0,
+            f"{sent} packets, of lost ones nothing is known"
+            if missing is None
+            else f"{missing} of {sent} packets lost ({100 * missing / sent:.2f} %)",
+        )
         words.append(f"{100 * profile.metadata['interpolated'][name]:.1f} % of it interpolated")
     return ", ".join(words)

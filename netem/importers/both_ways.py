@@ -34,7 +34,7 @@ def files_by_way(
         return named
     if len(inputs) not in (1, 2):
         raise ProfileError(f"convert: expected IN [IN2] OUT, got {len(inputs)} files to read")
-    ways = [_way_in_name(path) for path in inputs]
+    ways = [way_in_name(path) for path in inputs]
     if len(inputs) == 2:
         if ways[0] == DOWNLINK or ways[1] == UPLINK:
             raise ProfileError(
@@ -45,7 +45,7 @@ def files_by_way(
     return {ways[0]: inputs[0]}
 
 
-def _way_in_name(path: Path) -> int | None:
+def way_in_name(path: Path) -> int | None:
     """The direction that a file's name tells."""
     match = _WAY.search(path.name)
     if match is None:

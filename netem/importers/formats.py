@@ -43,8 +43,13 @@ class Format:
 PROFILE = Format("profile", "the project's own .npz or .csv", None)
 PCAP = Format("pcap", "captures at both ends", None, ("clock", "robot", *_PACKETS))
 FORMATS = (
-    Format("ns3", "ns-3 *PdcpStats, *RlcStats, Nr*RxStats", read_ns3, ("rnti", "phy", *_PACKETS)),
-    Format("ns3-phy", "ns-3 RxPacketTrace, for --phy", refuse_alone, ("rnti", "period")),
+    Format(
+        "ns3",
+        "ns-3 *PdcpStats, *RlcStats, Nr*RxStats",
+        read_ns3,
+        ("rnti", "imsi", "cell", "phy", *_PACKETS),
+    ),
+    Format("ns3-phy", "ns-3 RxPacketTrace, for --phy", refuse_alone, ("rnti", "cell", "period")),
     Format("irtt", "irtt's JSON", read_irtt, ("clock", *_PACKETS)),
     Format("ping", "a log of ping", read_ping, ("interval", *_PACKETS)),
     Format(

@@ -34,11 +34,11 @@ class Way:
     message_bytes: int | None = None
     rate_hz: float | None = None
     unknown_ns: np.ndarray | None = None
-    counts: tuple[int, int] | None = None
+    counts: tuple[int, int | None] | None = None
 
     @property
-    def counted(self) -> tuple[int, int]:
-        """How many packets were sent, and how many of them were lost."""
+    def counted(self) -> tuple[int, int | None]:
+        """How many packets were sent, and how many of them were lost; None if nobody knows."""
         return self.counts or (len(self.sent_ns), int(self.lost.sum()))
 
 

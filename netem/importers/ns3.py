@@ -1,14 +1,15 @@
-"""Delays that ns-3 writes per bearer: mmWave and LENA `*PdcpStats`, `*RlcStats`, 5G-LENA `Nr*Rx*`.
+"""Delays that ns-3 writes per bearer: mmWave and LENA `*PdcpStats`, `*RlcStats`, 5G-LENA `Nr*`.
 
-Three shapes, told apart by their header, two of them under one name (attribute `AggregatedStats`):
+Four shapes, told apart by their header, two of them under one name (attribute `AggregatedStats`):
 
     % start end CellId IMSI RNTI LCID nTxPDUs … delay stdDev min max …    per epoch, delay in s
     TYPE TIME CellId IMSI RNTI LCID SIZE DELAY    Tx and Rx events, time in s, delay in ns
     time(s) cellId rnti lcid packetSize delay(s)  receptions
+    time(s) cellId rnti lcid packetSize           sendings, beside receptions
 
-A reception tells the time of sending, TIME − DELAY. A Tx event of a time at which no reception was
-sent is a loss; the times have six digits. Data are on the bearers LCID ≥ 3. The PDCP delay is that
-of the radio link: the core network and the hosts' links are not in it.
+A reception tells the time of sending, TIME − DELAY. A Tx event, or a sending, of a time at which no
+reception was sent is a loss; the times have six digits. Data are on the bearers LCID ≥ 3. The PDCP
+delay is that of the radio link: the core network and the hosts' links are not in it.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ import math
 from array import array
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,122 +32,60 @@ from netem.importers.measured import (
     unfinished_note,
     without_unfinished,
 )
+from netem.importers.ns3_epochs import read_epochs
+from netem.importers.ns3_rows import EPOCH, EVENT, RECEPTION, SENDING, layout, rows
 from netem.importers.options import Options
-from netem.importers.resample import check_span
-from netem.importers.source import content_lines, nanoseconds, whole, wrong
+from netem.importers.source import content_lines, first_line, nanoseconds, whole, wrong
 from shared.errors import ProfileError
 
-_DATA_LCID = 3
 _S = UNITS_NS["s"]
-_EPOCH = ("start", "end", "rnti", "lcid", "ntxpdus", "nrxpdus", "delay")
-_EVENT = ("type", "time", "rnti", "lcid", "size", "delay")
-_RECEPTION = ("time", "rnti", "lcid", "packetsize", "delay")
 
 
-def is_ns3(first_line: str) -> bool:
+def is_ns3(line: str) -> bool:
     """Whether a file that begins with this line is one of these."""
-    names = _names(first_line)
-    return any(set(shape) <= set(names) for shape in (_EPOCH, _EVENT, _RECEPTION))
+    return layout(line) is not None
+
+
+def is_ns3_sendings(line: str) -> bool:
+    """Whether a file that begins with this line has sendings only."""
+    found = layout(line)
+    return found is not None and found.shape == SENDING
 
 
 def read_ns3(path: Path, options: Options, direction: int) -> Measured:
     """The packets of one way; `ProfileError` with the line that is wrong."""
-    rows = content_lines(path)
-    line, header = next(rows, (1, ""))
-    names = _names(header)
-    readers: list[tuple[tuple[str, ...], Callable[[_Table, Options, int], Measured]]] = [
-        (_EPOCH, _epochs),
-        (_EVENT, _events),
-        (_RECEPTION, _receptions),
-    ]
-    for shape, read in readers:
-        if set(shape) <= set(names):
-            # Names come twice (min, max): the first is the delay's.
-            columns = [names.index(name) for name in shape]
-            return read(_Table(path, rows, columns, len(names), options.rnti), options, direction)
-    raise wrong(
-        path,
-        f"line {line}",
-        "a header of ns-3: % start end … delay, TYPE TIME … DELAY or time(s) … delay(s)",
-        header,
-    )
-
-
-@dataclass
-class _Table:
-    """The rows of data bearers of one terminal, each cut down to the columns asked for."""
-
-    path: Path
-    lines: Iterator[tuple[int, str]]
-    columns: list[int]
-    width: int
-    rnti: int | None
-
-    def rows(self, rnti_column: int, lcid_column: int) -> Iterator[tuple[str, list[str]]]:
-        """Where a row is and its cells."""
-        found: set[str] = set()
-        for line, text in self.lines:
-            where, cells = f"line {line}", text.split()
-            if len(cells) < self.width:
-                raise wrong(self.path, where, f"{self.width} columns", text)
-            row = [cells[column] for column in self.columns]
-            lcid = whole(row[lcid_column], self.path, where, "an LCID", low=0, high=255)
-            rnti = whole(row[rnti_column], self.path, where, "an RNTI", low=0, high=65535)
-            if lcid < _DATA_LCID or self.rnti not in (None, rnti):
-                continue
-            found.add(row[rnti_column])
-            if len(found) > 1:
-                raise wrong(
-                    self.path, where, "one terminal, or --rnti to choose one", f"RNTI {rnti}"
-                )
-            yield where, row
-        if not found:
-            chosen = "" if self.rnti is None else f" of RNTI {self.rnti}"
-            raise ProfileError(
-                f"{self.path}: expected rows of a data bearer (LCID ≥ {_DATA_LCID}){chosen}, "
-                "found none"
-            )
-
-
-def _epochs(table: _Table, options: Options, direction: int) -> Measured:
-    path, period_ns = table.path, options.period_ns
-    pieces = []
-    total = 0
-    for where, row in table.rows(2, 3):
-        start, end = (nanoseconds(cell, _S, path, where, "a time in s") for cell in row[:2])
-        if end <= start:
-            raise wrong(path, where, "an end after the start", f"{row[0]} … {row[1]}")
-        sent, received = (
-            whole(cell, path, where, "a count of PDUs", low=0, high=10**12) for cell in row[4:6]
+    line, header = next(content_lines(path), (1, ""))
+    found = layout(header)
+    if found is None:
+        raise wrong(
+            path,
+            f"line {line}",
+            "a header of ns-3: % start end … delay, TYPE TIME … DELAY or time(s) … delay(s)",
+            header,
         )
-        delay = _delay(row[6], _S, path, where, "a delay in s")
-        if sent or received:
-            total += end - start
-            check_span(path, total, period_ns)
-            times = np.arange(start, end, period_ns)
-            pieces.append((times, np.full(len(times), delay), np.full(len(times), not received)))
-    if not pieces:
-        raise ProfileError(f"{path}: expected epochs in which data were sent, found none")
-    way = ordered(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
-    return one_way(
-        direction,
-        way,
-        f"{path.name}: means over epochs: an outage shorter than an epoch is smoothed away, and a "
-        "loss shows only if a whole epoch was lost; per packet: AggregatedStats=false",
+    if found.shape == EPOCH:
+        return read_epochs(path, rows(path, options, EPOCH), options, direction)
+    if found.shape == EVENT:
+        return _events(path, options, direction)
+    if found.shape == RECEPTION:
+        return _receptions(path, options, direction)
+    raise ProfileError(
+        f"{path}: ns-3's sendings, without delays; expected the file of the receptions, and this "
+        f"one beside it, as in {path.name.replace('Tx', 'Rx')} {path.name} OUT"
     )
 
 
-def _events(table: _Table, options: Options, direction: int) -> Measured:
-    path, end = table.path, 0
+def _events(path: Path, options: Options, direction: int) -> Measured:
+    end = 0
     # By size: several PDUs are sent at one time.
     sendings: dict[int, list[int]] = defaultdict(list)
     origins: dict[int, list[int]] = defaultdict(list)
     untimed: dict[int, list[int]] = defaultdict(list)
     sent, delays = array("q"), array("q")
-    for where, row in table.rows(2, 3):
+    for where, row in ((each.where, each.cells) for each in rows(path, options, EVENT)):
         time = nanoseconds(row[1], _S, path, where, "a time in s")
-        size = whole(row[4], path, where, "a size in bytes", low=0, high=2**31)
-        delay = _delay(row[5], 1, path, where, "a delay in whole ns")
+        size = whole(row[3], path, where, "a size in bytes", low=0, high=2**31)
+        delay = _delay(row[4], 1, path, where, "a delay in whole ns")
         end = max(end, time)
         if row[0].lower() == "tx":
             sendings[size].append(time)
@@ -160,11 +99,7 @@ def _events(table: _Table, options: Options, direction: int) -> Measured:
             untimed[size].append(time)
     if not delays:
         raise ProfileError(f"{path}: expected Rx rows with a delay, found none")
-    lost = [
-        time
-        for size, times in sendings.items()
-        for time in _unanswered(sorted(times), sorted(origins[size]), sorted(untimed[size]))
-    ]
+    lost = _missing(sendings, origins, untimed)
     way = ordered([*sent, *lost], [*delays, *lost], np.arange(len(sent) + len(lost)) >= len(sent))
     way, unfinished = without_unfinished(way, end)
     notes = unfinished_note(unfinished)
@@ -174,14 +109,62 @@ def _events(table: _Table, options: Options, direction: int) -> Measured:
     return one_way(direction, way, *notes)
 
 
-def _receptions(table: _Table, options: Options, direction: int) -> Measured:
-    path = table.path
+def _receptions(path: Path, options: Options, direction: int) -> Measured:
     times, delays = array("q"), array("q")
-    for where, row in table.rows(1, 2):
-        delays.append(_delay(row[4], _S, path, where, "a delay in s"))
+    origins: dict[int, list[int]] = defaultdict(list)
+    end = 0
+    found = layout(first_line(path))
+    unit_ns, unit = (1, "whole ns") if found is not None and found.headless else (_S, "s")
+    for where, row in ((each.where, each.cells) for each in rows(path, options, RECEPTION)):
+        delays.append(_delay(row[3], unit_ns, path, where, f"a delay in {unit}"))
+        end = max(end, nanoseconds(row[0], _S, path, where, "a time in s"))
         times.append(nanoseconds(row[0], _S, path, where, "a time in s") - delays[-1])
-    note = f"{path.name}: only packets that arrived are in it: losses are not known"
-    return one_way(direction, ordered(times, delays), note)
+        size = whole(row[2], path, where, "a size in bytes", low=0, high=2**31)
+        origins[size].append(times[-1])
+    sendings = options.beside.get(path) or _sibling(path)
+    if sendings is None:
+        note = f"{path.name}: only packets that arrived are in it: losses are not known"
+        way = ordered(times, delays)
+        return one_way(direction, replace(way, counts=(len(way.sent_ns), None)), note)
+    sent = _sendings(sendings, options)
+    lost = _missing(sent, origins, {})
+    order = np.arange(len(times) + len(lost)) >= len(times)
+    end = max(end, *(max(each) for each in sent.values()))
+    way = ordered([*times, *lost], [*delays, *lost], order)
+    way, unfinished = without_unfinished(way, end)
+    note = f"{path.name}: what {sendings.name} sent and did not arrive is lost"
+    return one_way(direction, way, note, *unfinished_note(unfinished))
+
+
+def _sibling(path: Path) -> Path | None:
+    """The sendings beside a file of receptions, by its name."""
+    sibling = path.with_name(path.name.replace("Rx", "Tx"))
+    there = sibling != path and sibling.is_file() and is_ns3_sendings(first_line(sibling))
+    return sibling if there else None
+
+
+def _sendings(path: Path, options: Options) -> dict[int, list[int]]:
+    """Times of sending by size [ns]."""
+    sent: dict[int, list[int]] = defaultdict(list)
+    for where, row in ((each.where, each.cells) for each in rows(path, options, SENDING)):
+        size = whole(row[2], path, where, "a size in bytes", low=0, high=2**31)
+        sent[size].append(nanoseconds(row[0], _S, path, where, "a time in s"))
+    return sent
+
+
+def _missing(
+    sendings: Mapping[int, list[int]],
+    origins: Mapping[int, list[int]],
+    untimed: Mapping[int, list[int]],
+) -> list[int]:
+    """The times of sending of what did not arrive, all by size [ns]."""
+    return [
+        time
+        for size, times in sendings.items()
+        for time in _unanswered(
+            sorted(times), sorted(origins.get(size, ())), sorted(untimed.get(size, ()))
+        )
+    ]
 
 
 def _unanswered(sendings: list[int], origins: list[int], untimed: list[int]) -> list[int]:
@@ -213,8 +196,3 @@ def _delay(text: str, unit_ns: int, path: Path, where: str, what: str) -> int:
     if delay < 0:
         raise wrong(path, where, what, text)
     return delay
-
-
-def _names(header: str) -> list[str]:
-    """Names of the columns in lower case, without units and the mark of a comment."""
-    return [name.split("(")[0].lower() for name in header.lstrip("\ufeff% \t").split()]

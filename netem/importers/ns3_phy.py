@@ -54,7 +54,8 @@ def read_phy(path: Path, options: Options) -> dict[str, Series]:
     times = {way: array("q") for way in _WAYS}
     sizes = {way: array("d") for way in _WAYS}
     sinrs = {way: array("d") for way in _WAYS}
-    terminals: set[int] = set()
+    terminals: dict[tuple[int, int], str] = {}
+    cell_at = names.index("cellid") if "cellid" in names else None
     for line, text in rows:
         where, cells = f"line {line}", text.split()
         if len(cells) < len(names):
@@ -63,11 +64,15 @@ def read_phy(path: Path, options: Options) -> dict[str, Series]:
         if way not in _WAYS:
             raise wrong(path, where, "DL or UL", cells[way_at])
         rnti = whole(cells[rnti_at], path, where, "an RNTI", low=0, high=65535)
-        if options.rnti not in (None, rnti):
+        cell = 0
+        if cell_at is not None:
+            cell = whole(cells[cell_at], path, where, "a cell as a number", low=0, high=65535)
+        if options.rnti not in (None, rnti) or options.cell not in (None, cell):
             continue
-        terminals.add(rnti)
+        terminals.setdefault((cell, rnti), f"cell {cell}, RNTI {rnti}")
         if len(terminals) > 1:
-            raise wrong(path, where, "one terminal, or --rnti to choose one", f"RNTI {rnti}")
+            got = "; ".join(terminals.values())
+            raise wrong(path, where, "one terminal, or --cell or --rnti to choose one", got)
         size = whole(cells[size_at], path, where, "a size in bytes", low=0, high=2**31)
         corrupt = whole(cells[corrupt_at], path, where, "corrupt as 0 or 1", low=0, high=1)
         times[way].append(nanoseconds(cells[time_at], UNITS_NS["s"], path, where, "a time in s"))

@@ -30,7 +30,8 @@ class Load:
 class Options:
     """Each importer takes its own of these; pairs are uplink and downlink; None: not said.
 
-    `beside` is the file that belongs to another one: the receiver's to the sender's.
+    `beside` is the file that belongs to another one: the receiver's to the sender's,
+    ns-3's sendings to its receptions.
     """
 
     period_ns: int = PERIOD_NS
@@ -43,6 +44,8 @@ class Options:
     beside: Mapping[Path, Path] = field(default_factory=dict)
     clock: str | None = None
     rnti: int | None = None
+    imsi: int | None = None
+    cell: int | None = None
     robot: str | None = None
     phy: Path | None = None
     load: tuple[Load, Load] | None = None

@@ -173,7 +173,7 @@ def _loss_notes(
     way: Way, lost: np.ndarray, empty: np.ndarray, *, lone_losses: bool
 ) -> Iterator[str]:
     """What became of the lost packets, where that is a choice or may surprise."""
-    sent, missing = way.counted
+    sent, missing = way.counted[0], way.counted[1] or 0
     if lone_losses and missing:
         yield "a lone lost packet stands for its own period only (--lone-loss)"
     elif (lost & empty).any():

@@ -58,6 +58,12 @@ def decoded(data: bytes) -> str:
     return data.decode(_encoding(data), errors="replace")
 
 
+def first_line(path: Path) -> str:
+    """The first line with content among the first bytes of a file, whatever is in it."""
+    text = decoded(head(path, size=1 << 12))
+    return next((line for line in text.splitlines() if line.strip() and line[0] != "#"), "")
+
+
 def lines(path: Path) -> Iterator[tuple[int, str]]:
     """Number and text of each line, without its end (any of CR LF, LF, CR)."""
     with opened(path) as file:

@@ -27,8 +27,8 @@ def longest_by_millisecond(path, rnti="1"):
     return longest
 
 
-def event(kind, time, size=1030, delay=0, rnti=1, lcid=3):
-    return f"{kind}\t{time:.6g}\t1\t1\t{rnti}\t{lcid}\t{size}\t{delay}\t\n"
+def event(kind, time, size=1030, delay=0, *, cell=1, imsi=1, rnti=1, lcid=3):
+    return f"{kind}\t{time:.6g}\t{cell}\t{imsi}\t{rnti}\t{lcid}\t{size}\t{delay}\t\n"
 
 
 def message(time, delay_ns, **other):
@@ -154,12 +154,127 @@ def test_a_gzipped_file_is_read_as_it_is(convert, sample, written):
 
 
 def test_of_several_terminals_one_is_chosen(convert, refused, written):
-    rows = [r for k in range(5) for n in (1, 2) for r in message(0.4 + k * 1e-3, n * 1000, rnti=n)]
+    rows = [
+        row
+        for k in range(5)
+        for n in (1, 2)
+        for row in message(0.4 + k * 1e-3, n * 1000, rnti=n, imsi=n + 10)
+    ]
     file = written("UlPdcpStats.txt", EVENTS + "".join(rows))
     assert "--rnti" in refused(file, "--other-way", "same")
     profile = convert(file, "--other-way", "same", "--rnti", "2")
     assert profile.delays_ns[UPLINK].tolist() == [2000] * 5
-    assert "RNTI 9" in refused(file, "--other-way", "same", "--rnti", "9")
+    text = refused(file, "--other-way", "same", "--rnti", "9")
+    assert "RNTI 9, found none" in text
+    assert "IMSI 11, RNTI 1; cell 1, IMSI 12, RNTI 2" in text
+    profile = convert(file, "--other-way", "same", "--imsi", "11")
+    assert profile.delays_ns[UPLINK].tolist() == [1000] * 5
+
+
+def test_terminals_of_two_cells_with_one_number_are_two(convert, refused, written):
+    def rows(imsi):
+        return [
+            row
+            for k in range(5)
+            for n in (1, 2)
+            for row in message(0.4 + k * 1e-3, n * 1000, cell=n, imsi=n * imsi)
+        ]
+
+    file = written("UlPdcpStats.txt", EVENTS + "".join(rows(1)))
+    text = refused(file, "--other-way", "same", "--rnti", "1")
+    assert "expected one terminal, got 2: cell 1, IMSI 1, RNTI 1; cell 2, IMSI 2, RNTI 1" in text
+    for flag in ("--imsi", "--cell", "--rnti"):
+        assert flag in text
+    profile = convert(file, "--other-way", "same", "--imsi", "2")
+    assert profile.delays_ns[UPLINK].tolist() == [2000] * 5
+    # Without an IMSI it is the cell that tells them apart.
+    file = written("UlPdcpStats.txt", EVENTS + "".join(rows(0)))
+    assert "expected one terminal, got 2" in refused(file, "--other-way", "same")
+    assert convert(file, "--other-way", "same", "--cell", "1").delays_ns.max() == 1000
+
+
+def test_a_terminal_that_is_handed_over_is_one(convert, written):
+    rows = [r for k in range(3) for r in message(0.4 + k * 1e-3, 1000)]
+    rows += [r for k in range(3, 6) for r in message(0.4 + k * 1e-3, 2000, cell=2, rnti=7)]
+    profile = convert(written("UlPdcpStats.txt", EVENTS + "".join(rows)), "--other-way", "same")
+    assert profile.delays_ns[UPLINK].tolist() == [1000] * 3 + [2000] * 3
+
+
+EPOCHS = "% start\tend\tCellId\tIMSI\tRNTI\tLCID\tnTxPDUs\tTxBytes\tnRxPDUs\tRxBytes\tdelay\n"
+
+
+def epoch(k, sent, received, delay, length=0.005):
+    times = f"{k * length:.6g}\t{(k + 1) * length:.6g}"
+    return f"{times}\t1\t1\t1\t3\t{sent}\t0\t{received}\t0\t{delay}\n"
+
+
+def test_what_arrives_in_a_later_epoch_is_not_lost(convert, written):
+    # Sent in every epoch, 12 ms under way: two or three epochs later.
+    rows = [epoch(k, 2, 0 if k < 2 else 2, 0 if k < 2 else 0.012) for k in range(60)]
+    profile = convert(written("UlPdcpStats.txt", EPOCHS + "".join(rows)), "--other-way", "same")
+    assert set(profile.delays_ns[UPLINK].tolist()) == {12_000_000}
+    assert profile.metadata["packets_lost"]["uplink"] == 0
+
+
+def test_epochs_of_which_nothing_arrives_later_are_lost(convert, written):
+    dead = range(20, 30)
+    rows = [
+        epoch(k, 1, 0 if k < 2 or k - 2 in dead else 1, 0 if k < 2 or k - 2 in dead else 0.01)
+        for k in range(60)
+    ]
+    profile = convert(written("UlPdcpStats.txt", EPOCHS + "".join(rows)), "--other-way", "same")
+    lost = (profile.delays_ns[UPLINK] == LOST).nonzero()[0]
+    assert lost.tolist() == list(range(100, 150))
+    assert profile.metadata["packets_lost"]["uplink"] == 10
+
+
+def test_losses_within_an_epoch_are_counted(convert, written):
+    rows = [epoch(k, 4, 3 if k == 5 else 4, 0.002, length=0.25) for k in range(20)]
+    profile = convert(written("UlPdcpStats.txt", EPOCHS + "".join(rows)), "--other-way", "same")
+    assert profile.metadata["packets"]["uplink"] == 80
+    assert profile.metadata["packets_lost"]["uplink"] == 1
+
+
+@pytest.mark.parametrize("imsi", ["", "1 "])
+def test_events_without_a_header_are_known_by_their_shape(convert, written, imsi):
+    rows = [
+        f"Tx {0.1 + k * 1e-3:.6g} 1 {imsi}1 3 100 \n"
+        + f"Rx {0.1005 + k * 1e-3:.6g} 1 {imsi}1 3 100 500000\n" * (k != 7)
+        for k in range(20)
+    ]
+    profile = convert(written("DlPdcpStats.txt", "".join(rows)), "--other-way", "same")
+    assert profile.delays_ns[DOWNLINK].tolist() == [LOST if k == 7 else 500_000 for k in range(20)]
+
+
+def test_receptions_without_a_header_have_delays_in_nanoseconds(convert, written, capsys):
+    rows = "".join(f"{0.1005 + k * 1e-3:.6g}\t1\t1\t1\t3\t100\t500000\n" for k in range(20))
+    profile = convert(written("DlPdcpStats.txt", rows), "--other-way", "same")
+    assert set(profile.delays_ns[DOWNLINK].tolist()) == {500_000}
+    assert profile.metadata["packets_lost"]["downlink"] is None
+    assert "20 packets, of lost ones nothing is known" in capsys.readouterr().out
+
+
+def test_sendings_beside_receptions_tell_what_was_lost(convert, refused, written):
+    sent = "time(s)\tcellId\trnti\tlcid\tpacketSize\n"
+    sent += "".join(f"{0.4 + k * 1e-3:.6g}\t1\t1\t4\t1030\n" for k in range(30))
+    arrived = "time(s)\tcellId\trnti\tlcid\tpacketSize\tdelay(s)\n"
+    arrived += "".join(
+        f"{0.4005 + k * 1e-3:.6g}\t1\t1\t4\t1030\t0.0005\n" for k in range(30) if k != 9
+    )
+    names = ("UlRx.txt", "UlTx.txt", "DlRx.txt", "DlTx.txt")
+    up, up_sent, down, down_sent = (
+        written(f"mine-Nr{name}", arrived if "Rx" in name else sent) for name in names
+    )
+    expected = [LOST if k == 9 else 500_000 for k in range(30)]
+    assert convert(up, up_sent, down, down_sent).delays_ns.tolist() == [expected] * 2
+    # Those beside it by their name are found.
+    profile = convert(up, down)
+    assert profile.delays_ns.tolist() == [expected] * 2
+    assert any("mine-NrUlTx.txt" in note for note in profile.metadata["notes"])
+    other = written("NrUlRxStats-1.txt", arrived)
+    assert convert(other, up_sent, "--other-way", "same").delays_ns.tolist() == [expected] * 2
+    assert "sendings, without delays" in refused(up_sent)
+    assert "beside it" in refused(up, down, up_sent, written("x-NrUlTx.txt", sent))
 
 
 @pytest.mark.parametrize(
