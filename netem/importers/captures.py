@@ -1,16 +1,19 @@
 """One-way delays from two captures of the same packets, one at either end of the link.
 
-A packet is known again by its addresses, protocol, IP identification, fragment offset and the start
-of its payload; packets that have all this in common are taken in order, and identifications are
-used again after a while, so that two captures of one packet may be 30 s apart. A datagram has
-arrived with its last fragment and is lost if any of them is. Addresses must be the same at both
-ends: a translation of addresses between them hides every packet.
+A packet is known again by its addresses, protocol, IP identification, fragment offset, length and
+as much of its payload as both captures hold of each. Identifications are used again after a while,
+so that two captures of one packet may be 30 s apart. Packets that have all this in common within
+that time are taken in order if none of them is missing; if one is, nobody can tell which, and they
+are refused. A datagram has arrived with its last fragment and is lost if any of them is. Addresses
+must be the same at both ends: a translation of addresses between them hides every packet.
 """
 
 from __future__ import annotations
 
 import ipaddress
-from collections import Counter, defaultdict
+import itertools
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,11 +23,12 @@ from netem.importers.measured import (
     Measured,
     Way,
     ordered,
+    stepped_back_note,
     unfinished_note,
     without_unfinished,
 )
 from netem.importers.options import Options
-from netem.importers.pcap import Packet, packets
+from netem.importers.pcap import WHOLE, Packet, held_of_each, packets
 from netem.profile import DIRECTIONS, DOWNLINK, UPLINK
 from shared.errors import ConfigError, ProfileError
 
@@ -48,8 +52,10 @@ class _Datagram:
 
 def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measured:
     """Both ways, or the one of which both captures have packets."""
-    near, far = _read(robot_side), _read(edge_side)
-    near_partner, far_partner = _matched(near, far)
+    held = {path: held_of_each(path) for path in (robot_side, edge_side)}
+    compared = min(held.values())
+    near, far = (_read(path, compared) for path in (robot_side, edge_side))
+    near_partner, far_partner = _matched(near, far, f"{robot_side}, {edge_side}", compared)
     shifts: dict[_Flow, list[int]] = defaultdict(list)
     for packet, partner in zip(near, near_partner, strict=True):
         if partner is not None:
@@ -57,11 +63,19 @@ def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measur
     if not shifts:
         raise ProfileError(
             f"{robot_side}, {edge_side}: expected the same packets in both, at most 30 s apart, "
-            f"found none in {len(near)} and {len(far)}"
+            f"found none in {len(near)} and {len(far)}, {_in_bytes(compared)} compared; are their "
+            "addresses translated in between?"
         )
     directions = _directions(shifts, options.robot, f"{robot_side}, {edge_side}")
     ways: list[Way | None] = [None, None]
-    notes: list[str] = []
+    notes = [
+        f"{path.name}: packets cut short, so that {_in_bytes(n)} are compared"
+        for path, n in held.items()
+        if n < WHOLE
+    ]
+    for side, path in ((near, robot_side), (far, edge_side)):
+        times = np.array([packet.time_ns for packet in side])
+        notes += [f"{path.name}: {note}" for note in stepped_back_note(times)]
     for direction, sender, partners, receiver in (
         (UPLINK, near, near_partner, far),
         (DOWNLINK, far, far_partner, near),
@@ -74,9 +88,9 @@ def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measur
     return Measured((ways[0], ways[1]), tuple(notes), {"flows": described}, two_clocks=True)
 
 
-def _read(path: Path) -> list[Packet]:
+def _read(path: Path, compared: int) -> list[Packet]:
     read = []
-    for packet in packets(path):
+    for packet in packets(path, compared=compared):
         read.append(packet)
         if len(read) > _MAX_PACKETS:
             raise ProfileError(
@@ -88,25 +102,54 @@ def _read(path: Path) -> list[Packet]:
 
 
 def _matched(
-    near: list[Packet], far: list[Packet]
+    near: list[Packet], far: list[Packet], files: str, compared: int
 ) -> tuple[list[Packet | None], list[Packet | None]]:
     """For each packet of either capture the same packet in the other one."""
     of_near: list[Packet | None] = [None] * len(near)
     of_far: list[Packet | None] = [None] * len(far)
-    waiting: dict[bytes, list[int]] = defaultdict(list)
-    for index, packet in enumerate(far):
-        waiting[packet.key].append(index)
-    used: Counter[bytes] = Counter()
-    for index, packet in enumerate(near):
-        candidates = waiting.get(packet.key, [])
-        k = used[packet.key]
-        while k < len(candidates) and far[candidates[k]].time_ns < packet.time_ns - _APART_NS:
-            k += 1
-        if k < len(candidates) and far[candidates[k]].time_ns <= packet.time_ns + _APART_NS:
-            of_near[index], of_far[candidates[k]] = far[candidates[k]], packet
-            k += 1
-        used[packet.key] = k
+    places: dict[bytes, tuple[list[int], list[int]]] = defaultdict(lambda: ([], []))
+    for side, of_side in enumerate((near, far)):
+        for index, packet in enumerate(of_side):
+            places[packet.key][side].append(index)
+    for here, there in places.values():
+        alike = _repeated(near, here) or _repeated(far, there)
+        if alike and there and here and len(here) != len(there):
+            flow = " > ".join(str(ipaddress.ip_address(end)) for end in near[here[0]].flow)
+            raise ProfileError(
+                f"{files}: {len(here)} packets {flow} in the one and {len(there)} in the other are "
+                f"alike in all that both hold ({_in_bytes(compared)}): which of them are missing "
+                "nobody can tell; capture whole packets (-s 0) on one interface each, or leave out "
+                "that flow"
+            )
+        pairs = zip(here, there, strict=False) if alike else _in_turn(near, here, far, there)
+        for mine, other in pairs:
+            of_near[mine], of_far[other] = far[other], near[mine]
     return of_near, of_far
+
+
+def _repeated(side: list[Packet], places: list[int]) -> bool:
+    """Whether one packet follows another one so soon that their captures may be mixed up."""
+    times = [side[place].time_ns for place in places]
+    return any(after - before <= _APART_NS for before, after in itertools.pairwise(times))
+
+
+def _in_turn(
+    near: list[Packet], here: list[int], far: list[Packet], there: list[int]
+) -> Iterator[tuple[int, int]]:
+    """Pairs of captures that are close enough in time."""
+    k = 0
+    for mine in here:
+        time = near[mine].time_ns
+        while k < len(there) and far[there[k]].time_ns < time - _APART_NS:
+            k += 1
+        if k < len(there) and far[there[k]].time_ns <= time + _APART_NS:
+            yield mine, there[k]
+            k += 1
+
+
+def _in_bytes(compared: int) -> str:
+    """How much of a payload is compared, in words."""
+    return "whole payloads" if compared >= WHOLE else f"the first {compared} bytes of payloads"
 
 
 def _directions(shifts: dict[_Flow, list[int]], robot: str | None, files: str) -> dict[_Flow, int]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from netem.importers.capture_files import is_capture
 from netem.importers.distribution import read_histogram, read_netem_table
 from netem.importers.irtt import is_irtt, read_irtt
 from netem.importers.mahimahi import read_cellreplay, read_mahimahi
@@ -13,7 +14,6 @@ from netem.importers.measured import Measured
 from netem.importers.ns3 import is_ns3, read_ns3
 from netem.importers.ns3_phy import is_ns3_phy, refuse_alone
 from netem.importers.options import Options
-from netem.importers.pcap import is_pcap
 from netem.importers.ping import is_ping, read_ping
 from netem.importers.source import decoded, head
 from netem.importers.table import known_columns, read_table
@@ -95,7 +95,7 @@ def format_of(path: Path, options: Options) -> Format:
 
 def _name(path: Path, options: Options) -> str:
     start = head(path, size=_HEAD_BYTES)
-    if is_pcap(start):
+    if is_capture(start):
         return "pcap"
     if path.suffix == ".npz" and start.startswith(b"PK"):
         return "profile"

@@ -1,7 +1,4 @@
-"""The IP packets of a capture: classic pcap of either byte order, in µs or ns.
-
-    magic 4, version 2+2, zone 4, accuracy 4, longest 4, link type 4; then per packet
-    seconds 4, µs or ns 4, captured length 4, length 4, captured bytes
+"""The IP packets of a capture.
 
 Links: Ethernet (with VLAN tags), raw IP, PPP, BSD loopback, Linux cooked. IP in GTP-U (UDP port
 2152, as between base station and core) is taken out of it.
@@ -10,35 +7,27 @@ Links: Ethernet (with VLAN tags), raw IP, PPP, BSD loopback, Linux cooked. IP in
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Callable, Iterator
+from hashlib import blake2b
 from pathlib import Path
 from typing import NamedTuple
 
-from netem.importers.source import MAX_RECORDS, opened, wrong
-from shared.errors import ProfileError
+from netem.importers.capture_files import frames
+from netem.importers.source import wrong
 
-# Byte order, and how many ns the fraction of a second counts.
-_MAGICS = {
-    b"\xd4\xc3\xb2\xa1": ("<", 1000),
-    b"\xa1\xb2\xc3\xd4": (">", 1000),
-    b"\x4d\x3c\xb2\xa1": ("<", 1),
-    b"\xa1\xb2\x3c\x4d": (">", 1),
-}
-_PCAPNG = b"\x0a\x0d\x0d\x0a"
-_LONGEST = 1 << 18
 _IPV4, _IPV6, _VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8, 0x9100)
 _TCP, _UDP, _GTP_PORT = 6, 17, 2152
 _FRAGMENT_HEADER = 44
-# Of the payload this much tells packets of one number apart; captures may be cut short after it.
-_PAYLOAD_BYTES = 20
+# No payload is longer.
+WHOLE = 1 << 18
 _CHECKSUM = {_UDP: slice(6, 8), _TCP: slice(16, 18)}
 
 
 class Packet(NamedTuple):
     """An IP packet or fragment: `key` is the same at both ends, `datagram` in all its fragments.
 
-    `flow` is (source, destination). `payload_bytes` of IP; `last` if no fragment follows.
+    `flow` is (source, destination). `payload_bytes` of IP, of which the capture holds `held_bytes`;
+    `last` if no fragment follows.
     """
 
     time_ns: int
@@ -47,54 +36,29 @@ class Packet(NamedTuple):
     datagram: bytes
     protocol: int
     payload_bytes: int
+    held_bytes: int
     last: bool
 
 
-def is_pcap(start: bytes) -> bool:
-    """Whether a file that begins so is a capture, classic or pcapng."""
-    return start[:4] in _MAGICS or start[:4] == _PCAPNG
+def packets(path: Path, *, compared: int = WHOLE) -> Iterator[Packet]:
+    """The IP packets in a capture; `ProfileError` with the record that is wrong.
 
-
-def packets(path: Path) -> Iterator[Packet]:
-    """The IP packets in a capture; `ProfileError` with the record that is wrong."""
-    with opened(path) as file:
-        header = file.read(24)
-        if header[:4] == _PCAPNG:
-            raise ProfileError(
-                f"{path}: pcapng; expected classic pcap: editcap -F pcap {path.name} OUT.pcap"
-            )
-        if header[:4] not in _MAGICS or len(header) < 24:
-            raise wrong(path, "byte 0", "the header of a pcap file", header[:4])
-        order, unit_ns = _MAGICS[header[:4]]
-        link = struct.unpack(order + "I", header[20:])[0] & 0x0FFFFFFF
-        network = _LINKS.get(link)
+    The `key` is of everything that stays the same and the first `compared` bytes of the payload.
+    """
+    for frame in frames(path):
+        network = _LINKS.get(frame.link)
         if network is None:
             known = ", ".join(str(number) for number in _LINKS)
-            raise wrong(path, "byte 20", f"a link type of {known}", link)
-        at = 24
-        for record in range(1, MAX_RECORDS + 1):
-            head = file.read(16)
-            if not head:
-                return
-            where = f"record {record} at byte {at}"
-            if len(head) < 16:
-                raise wrong(path, where, "16 bytes of a record's header", f"{len(head)} bytes")
-            seconds, fraction, captured, _ = struct.unpack(order + "4I", head)
-            if captured > _LONGEST or fraction * unit_ns >= 1_000_000_000:
-                raise wrong(
-                    path,
-                    where,
-                    f"a fraction below a second and at most {_LONGEST} bytes",
-                    f"{fraction} and {captured}",
-                )
-            data = file.read(captured)
-            if len(data) < captured:
-                raise wrong(path, where, f"{captured} bytes", f"{len(data)} bytes")
-            at += 16 + captured
-            packet = _ip(network(data), seconds * 1_000_000_000 + fraction * unit_ns)
-            if packet is not None:
-                yield packet
-        raise ProfileError(f"{path}: expected at most {MAX_RECORDS} packets")
+            raise wrong(path, frame.where, f"a link type of {known}", frame.link)
+        packet = _ip(network(frame.data), frame.time_ns, compared)
+        if packet is not None:
+            yield packet
+
+
+def held_of_each(path: Path) -> int:
+    """How many bytes of every payload a capture holds, if it cuts any short; else `WHOLE`."""
+    cut = (p.held_bytes for p in packets(path, compared=0) if p.held_bytes < p.payload_bytes)
+    return min(cut, default=WHOLE)
 
 
 def _ethernet(frame: bytes) -> bytes:
@@ -129,7 +93,7 @@ _LINKS: dict[int, Callable[[bytes], bytes]] = {
 }
 
 
-def _ip(data: bytes, time_ns: int, *, inside: bool = False) -> Packet | None:
+def _ip(data: bytes, time_ns: int, compared: int, *, inside: bool = False) -> Packet | None:
     """The packet that `data` is, or the one inside if it is GTP-U; None if it is not IP."""
     version = data[0] >> 4 if data else 0
     if version == 4 and len(data) >= 20:
@@ -150,15 +114,17 @@ def _ip(data: bytes, time_ns: int, *, inside: bool = False) -> Packet | None:
         return None
     whole_datagram = offset == 0 and not more
     if not inside and protocol == _UDP and whole_datagram and _is_gtp(body):
-        return _ip(_inside_gtp(body[8:]), time_ns, inside=True)
-    start = bytearray(body[: min(_PAYLOAD_BYTES, max(total, 0))])
+        return _ip(_inside_gtp(body[8:]), time_ns, compared, inside=True)
+    held = min(len(body), max(total, 0))
+    start = bytearray(body[: min(held, compared)])
     if offset == 0 and protocol in _CHECKSUM:
         # A sender's network card fills it in after the capture.
         part = _CHECKSUM[protocol]
         start[part] = bytes(len(start[part]))
     datagram = b"".join((*flow, bytes([protocol]), identity))
-    key = datagram + struct.pack(">HI", offset, zlib.crc32(start))
-    return Packet(time_ns, flow, key, datagram, protocol, max(total, 0), not more)
+    seen = blake2b(start, digest_size=12).digest()
+    key = datagram + struct.pack(">HI", offset, max(total, 0)) + seen
+    return Packet(time_ns, flow, key, datagram, protocol, max(total, 0), held, not more)
 
 
 def _is_gtp(udp: bytes) -> bool:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import pytest
 
@@ -271,9 +272,122 @@ def test_a_capture_alone_is_refused(refused, sample):
     assert "expected two" in refused(sample("s1u_gnb_gtpu.pcap"))
 
 
-def test_pcapng_is_refused_with_the_command_that_converts_it(refused, written, sample):
-    file = written("a.pcapng", b"\x0a\x0d\x0d\x0a" + bytes(60))
-    assert "editcap -F pcap a.pcapng" in refused(file, sample("s1u_gnb_gtpu.pcap"))
+def block(order, kind, body):
+    body += bytes(-len(body) % 4)
+    length = struct.pack(order + "I", 12 + len(body))
+    return struct.pack(order + "I", kind) + length + body + length
+
+
+def pcapng(packets, *, order="<", options=b"", per_second=10**6, offset_s=0, link=101):
+    """A section, two interfaces, of which the second one is used, and a block of another kind."""
+    data = block(order, 0x0A0D0D0A, struct.pack(order + "IHHq", 0x1A2B3C4D, 1, 0, -1))
+    data += block(order, 1, struct.pack(order + "HHI", 147, 0, 0))
+    data += block(order, 1, struct.pack(order + "HHI", link, 0, 0) + options)
+    data += block(order, 5, bytes(12))
+    for time_ns, packet in packets:
+        ticks = (time_ns - offset_s * 10**9) * per_second // 10**9
+        head = struct.pack(order + "5I", 1, ticks >> 32, ticks & 0xFFFFFFFF, *[len(packet)] * 2)
+        data += block(order, 6, head + packet)
+    return data
+
+
+PCAPNG: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "big-endian": {"order": ">"},
+    "ns": {"options": b"\x09\x00\x01\x00\x09\0\0\0" + bytes(4), "per_second": 10**9},
+    "binary": {"options": b"\x09\x00\x01\x00\x94\0\0\0", "per_second": 2**20},
+    "offset": {
+        "options": b"\x02\x00\x03\x00eth\0" + b"\x0e\x00\x08\x00" + struct.pack("<q", -5),
+        "offset_s": -5,
+    },
+}
+
+
+@pytest.mark.parametrize("kind", PCAPNG)
+def test_pcapng_is_read_as_wireshark_writes_it(convert, written, kind):
+    near, far = messages(20, delay_ns=5 * MS)
+    files = written("a.pcapng", pcapng(near, **PCAPNG[kind])), written("b.pcap", pcap(far))
+    profile = convert(*files, "--other-way", "same")
+    # 2⁻²⁰ s are a microsecond, nearly.
+    error = abs(profile.delays_ns[UPLINK] - [5 * MS + k * 1000 for k in range(20)])
+    assert error.max() <= (1000 if kind == "binary" else 0)
+
+
+def test_sections_of_pcapng_follow_one_another(convert, written):
+    near, far = messages(20, delay_ns=5 * MS)
+    both = pcapng(near[:10]) + pcapng(near[10:], order=">")
+    files = written("a.pcapng", both), written("b.pcapng", pcapng(far))
+    profile = convert(*files, "--other-way", "same")
+    assert profile.delays_ns[UPLINK].tolist() == [5 * MS + k * 1000 for k in range(20)]
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda data: data[:-6], "block 9 at byte"),
+        (lambda data: data[:30], "block 2 at byte 28: expected 8 bytes"),
+        (lambda data: data[:8] + bytes(4) + data[12:], "the byte order of a section"),
+        (lambda data: data[:4] + b"\x1d" + data[5:], "block 1 at byte 0: expected a length"),
+        (lambda data: data[:36] + b"\x93\0" + data[38:56] + b"\x93\0" + data[58:], "link type"),
+        (lambda data: data + block("<", 3, bytes(8)), "frames with times"),
+    ],
+    ids=["cut", "header cut", "order", "length", "link", "no times"],
+)
+def test_damaged_pcapng_is_named_with_its_block(refused, written, damage, words):
+    near, far = messages(5, delay_ns=MS)
+    text = refused(written("a.pcapng", damage(pcapng(near))), written("b.pcap", pcap(far)))
+    assert "a.pcapng" in text
+    assert words in text
+
+
+def rtps(k):
+    """A datagram without an identification, of which the first 40 bytes are always the same."""
+    return ip(udp(b"RTPS" + bytes(36) + struct.pack(">I", k) + bytes(40)), identity=0)
+
+
+def test_packets_are_told_apart_by_all_that_both_captures_hold(convert, written):
+    near = [(10**9 + k * MS, rtps(k)) for k in range(500)]
+    far = [(t + 3 * MS, packet) for k, (t, packet) in enumerate(near) if k != 100]
+    files = written("a", pcap(near)), written("b", pcap(far))
+    profile = convert(*files, "--other-way", "same")
+    assert profile.delays_ns[UPLINK].tolist() == [LOST if k == 100 else 3 * MS for k in range(500)]
+
+
+def cut_short(data, length, snap):
+    """A capture whose packets of `length` bytes are cut after `snap`."""
+    short = data[:24]
+    for at in range(24, len(data), 16 + length):
+        head = data[at : at + 8] + struct.pack("<2I", snap, length)
+        short += head + data[at + 16 : at + 16 + snap]
+    return short
+
+
+def test_a_capture_that_is_cut_short_is_compared_as_far_as_it_goes(convert, written):
+    near = [(10**9 + k * MS, rtps(k)) for k in range(50)]
+    far = pcap([(t + 3 * MS, packet) for k, (t, packet) in enumerate(near) if k != 7])
+    short = cut_short(pcap(near), len(rtps(0)), 20 + 8 + 44)
+    profile = convert(written("near.pcap", short), written("b", far), "--other-way", "same")
+    assert profile.delays_ns[UPLINK].tolist() == [LOST if k == 7 else 3 * MS for k in range(50)]
+    note = "near.pcap: packets cut short, so that the first 52 bytes of payloads are compared"
+    assert note in profile.metadata["notes"]
+
+
+def test_packets_that_are_all_alike_are_refused_if_one_is_missing(convert, refused, written):
+    near = [(10**9 + k * MS, rtps(k)) for k in range(50)]
+    far = [(t + 3 * MS, packet) for t, packet in near]
+    short = written("near.pcap", cut_short(pcap(near), len(rtps(0)), 60))
+    profile = convert(short, written("b", pcap(far)), "--other-way", "same")
+    assert set(profile.delays_ns[UPLINK].tolist()) == {3 * MS}
+    text = refused(short, written("b", pcap(far[:7] + far[8:])), "--other-way", "same")
+    for words in ("50 packets 10.0.0.1 > 10.0.0.2", "49 in the other", "first 40 bytes", "-s 0"):
+        assert words in text
+
+
+def test_a_clock_that_is_set_during_a_capture_is_told(convert, written):
+    near, far = messages(20, delay_ns=5 * MS)
+    near = [(t - 2 * MS * (k > 9), packet) for k, (t, packet) in enumerate(near)]
+    profile = convert(written("a", pcap(near)), written("b", pcap(far)), "--other-way", "same")
+    assert any(note.startswith("a: times step back 1 times") for note in profile.metadata["notes"])
 
 
 @pytest.mark.parametrize(
