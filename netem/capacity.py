@@ -36,6 +36,8 @@ _IDLE_FACTOR = 10.0
 # The part of a message that arrives with its last byte at the earliest: what was delivered before
 # is held back until the block that is missing has come again.
 _LAST = 0.01
+# Of all periods so many must have had a message: some are sent a moment late.
+_ENOUGH = 0.9
 _DELIVERED = ("delivered_ul_bytes", "delivered_dl_bytes")
 # How ns-3 profiles call the size of a message.
 _SIZES = (("uplink_bytes", "ulB"), ("downlink_bytes", "dlB"))
@@ -144,6 +146,13 @@ def _of_way(profile: DelayProfile, way: int) -> np.ndarray:
     if given is not None:
         # The idle link, where no bytes were asked of it, is as good as it ever was.
         return np.where(np.isfinite(given), given, np.nanmax(given)).astype(float)
+    part = _messages_in_a_period(profile, DIRECTIONS[way])
+    if part < _ENOUGH:
+        raise ProfileError(
+            f"profile {profile.name}: expected {DIRECTIONS[way]}_capacity_bytes, or a message in "
+            f"every period of {profile.period_ns * 1e-6:g} ms, got {part:.3g}: what the link could "
+            "have carried in between nobody measured; replay its delays, without capacity:"
+        )
     size = next((profile.metadata[key] for key in _SIZES[way] if key in profile.metadata), None)
     if not isinstance(size, int | float) or not size > 0:
         raise ProfileError(
@@ -152,6 +161,23 @@ def _of_way(profile: DelayProfile, way: int) -> np.ndarray:
         )
     delivered = profile.columns.get(_DELIVERED[way])
     return _behind(profile.delays_ns[way], float(size), delivered, profile.period_ns)
+
+
+def _messages_in_a_period(profile: DelayProfile, direction: str) -> float:
+    """How many messages the recorded load had in a period, as far as the metadata tell; else 1."""
+    of = {key: profile.metadata.get(key) for key in ("packets", "interpolated", "rate_hz")}
+    packets, interpolated = (
+        each.get(direction) if isinstance(each, dict) else None
+        for each in (of["packets"], of["interpolated"])
+    )
+    known = [1.0]
+    if isinstance(packets, int | float):
+        known.append(packets / profile.delays_ns.shape[1])
+    elif isinstance(of["rate_hz"], int | float):
+        known.append(of["rate_hz"] * profile.period_ns * 1e-9)
+    if isinstance(interpolated, int | float):
+        known.append(1.0 - interpolated)
+    return float(min(known))
 
 
 def _behind(

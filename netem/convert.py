@@ -52,7 +52,7 @@ _FLAGS: tuple[tuple[str, str, Callable[[str], Any], str, str], ...] = (
     ("rnti", "rnti", int, "N", "the terminal's number in its cell"),
     ("phy", "phy", Path, "FILE", "RxPacketTrace.txt of the same run: capacity"),
     ("robot", "robot", str, "ADDRESS", "the robot's IP address in captures"),
-    ("load", "load", lambda t: per_way(t, parse_load), "1000B@1kHz/40000B@1kHz",
+    ("load", "load", lambda t: per_way(t, parse_load), "1000B@500Hz/1000B@1kHz",
      "uplink/downlink traffic to put through a trace of capacity"),
     ("base-delay", "base_delay_ns", lambda t: per_way(t, parse_duration_ns), "2ms",
      "beside the queue, of a trace of capacity (default none)"),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from netem.importers.capture_files import is_capture
 from netem.importers.distribution import read_histogram, read_netem_table
+from netem.importers.flent import is_flent, read_flent
 from netem.importers.irtt import is_irtt, read_irtt
 from netem.importers.mahimahi import read_cellreplay, read_mahimahi
 from netem.importers.measured import Measured
@@ -15,6 +16,7 @@ from netem.importers.ns3 import is_ns3, read_ns3
 from netem.importers.ns3_phy import is_ns3_phy, refuse_alone
 from netem.importers.options import Options
 from netem.importers.ping import is_ping, read_ping
+from netem.importers.resemblance import refuse_others, resemblance
 from netem.importers.source import decoded, head
 from netem.importers.table import known_columns, read_table
 from netem.profile_file import CSV_HEADER
@@ -51,6 +53,7 @@ FORMATS = (
     ),
     Format("ns3-phy", "ns-3 RxPacketTrace, for --phy", refuse_alone, ("rnti", "cell", "period")),
     Format("irtt", "irtt's JSON", read_irtt, ("clock", *_PACKETS)),
+    Format("flent", "Flent's .flent.gz", read_flent, ("columns", *_PACKETS)),
     Format("ping", "a log of ping", read_ping, ("interval", *_PACKETS)),
     Format(
         "mahimahi",
@@ -99,6 +102,7 @@ def _name(path: Path, options: Options) -> str:
         return "pcap"
     if path.suffix == ".npz" and start.startswith(b"PK"):
         return "profile"
+    refuse_others(path, start)
     if start.startswith(b"PAR1"):
         return "table"
     text = decoded(start)
@@ -110,6 +114,8 @@ def _name(path: Path, options: Options) -> str:
     first = content[0] if content else ""
     if is_irtt(text):
         return "irtt"
+    if is_flent(path, text):
+        return "flent"
     if [cell.strip() for cell in first.split(",")[:2]] == list(CSV_HEADER):
         return "profile"
     if is_ns3_phy(first):
@@ -124,13 +130,11 @@ def _name(path: Path, options: Options) -> str:
         return "ping"
     if name := _of_numbers(content):
         return name
-    if "<FlowMonitor" in text:
-        raise ProfileError(
-            f"{path}: ns-3's FlowMonitor has sums and no packets; expected *PdcpStats.txt"
-        )
+    like = resemblance(content)
+    advice = like or "--format says which, --columns names the columns of any other table"
     raise ProfileError(
         f"{path}: expected one of {', '.join(each.name for each in FORMATS)}, and its content is "
-        "like none; --format says which, --columns names the columns of any other table"
+        f"like none; {advice}"
     )
 
 
@@ -143,5 +147,6 @@ def _of_numbers(content: list[str]) -> str | None:
     if any(cell.startswith("-") for cell in cells):
         return "netem"
     if all(len(row) == 1 for row in rows):
-        return "mahimahi"
+        times = [int(cell[:18]) for cell in cells]
+        return "mahimahi" if times == sorted(times) else None
     return "cellreplay" if all(len(row) >= 3 for row in rows) else None

@@ -7,7 +7,6 @@ on the way down, the delay up is not known.
 
 from __future__ import annotations
 
-import json
 from array import array
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +16,9 @@ import numpy as np
 
 from netem.importers.measured import Measured, Way, halved, ordered
 from netem.importers.options import Options
-from netem.importers.source import decoded, opened, wrong
+from netem.importers.source import json_document, wrong
 from shared.errors import ProfileError
 
-_MAX_BYTES = 1 << 29
 _MAX_NS = 2**61
 _LOST = ("false", "true", "true_up", "true_down")
 HALF_NOTE = "round trips: half of each taken for either way"
@@ -35,7 +33,7 @@ def is_irtt(start: str) -> bool:
 
 def read_irtt(path: Path, options: Options, direction: int) -> Measured:
     """Both ways; `ProfileError` with the round trip that is wrong."""
-    document = _document(path)
+    document = json_document(path, "irtt")
     trips = document.get("round_trips") if isinstance(document, dict) else None
     if not isinstance(trips, list) or not trips:
         raise ProfileError(f"{path}: expected irtt's JSON with a list of round_trips, found none")
@@ -104,21 +102,6 @@ def _append(way: tuple[array[int], ...], sent: int, delay: int | None, lost: str
     way[0].append(sent)
     way[1].append(delay or 0)
     way[2].append(lost != "false")
-
-
-def _document(path: Path) -> Any:
-    with opened(path) as file:
-        data = file.read(_MAX_BYTES + 1)
-    if len(data) > _MAX_BYTES:
-        raise ProfileError(f"{path}: expected at most {_MAX_BYTES >> 20} MiB of JSON")
-    try:
-        return json.loads(decoded(data))
-    except json.JSONDecodeError as error:
-        raise ProfileError(
-            f"{path}, line {error.lineno}: expected whole JSON, as irtt writes it: {error.msg}"
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise ProfileError(f"{path}: expected JSON as irtt writes it: {error}") from None
 
 
 def _row(path: Path, k: int, trip: Any) -> dict[str, Any]:

@@ -37,7 +37,8 @@ def read_mahimahi(path: Path, options: Options, direction: int) -> Measured:
     if options.load is None:
         raise ProfileError(
             f"{path}: opportunities to carry 1500 bytes, without delays: expected the load whose "
-            "delays to compute, as in --load 1000B@1kHz/40000B@1kHz (uplink/downlink)"
+            "delays to compute, as in --load 1000B@500Hz/1000B@1kHz (uplink/downlink); or, if it "
+            "is a list of delays, --columns 'rtt=1(ms)' --interval 10ms"
         )
     load, times = options.load[direction], _opportunities(path, options)
     cycle = int(times[-1])
@@ -60,11 +61,16 @@ def read_mahimahi(path: Path, options: Options, direction: int) -> Measured:
     )
     capacity = _capacity(times, cycle, duration_ns // _MS)
     name = DIRECTIONS[direction]
-    note = (
+    notes = [
         f"{name}: {load.size} B at {load.rate_hz:g} Hz through a FIFO queue of "
         f"{options.queue_bytes} B, on top of {base * 1e-6:g} ms (--base-delay)"
-    )
-    return one_way(direction, way, note, **{f"{name}_capacity_bytes": capacity})
+    ]
+    asked, carries = load.size * load.rate_hz * 8e-6, int(carried[-1]) / cycle * 8e-3
+    words = f"the load is {asked:.3g} Mbit/s, the trace carries {carries:.3g} Mbit/s in the mean"
+    if asked > carries:
+        words = f"warning: {words}: the queue fills, and what it cannot hold is lost; ask for less"
+    notes.append(f"{name}: {words}")
+    return one_way(direction, way, *notes, **{f"{name}_capacity_bytes": capacity})
 
 
 def read_cellreplay(path: Path, options: Options, direction: int) -> Measured:

@@ -51,7 +51,7 @@ _STEP_NS = 10_000_000
 
 
 @dataclass
-class _Log:
+class PingLog:
     """Round trips [ns] and times at which replies came, by number, and what else a log says."""
 
     trips: dict[int, int] = field(default_factory=dict)
@@ -76,9 +76,7 @@ def read_ping(path: Path, options: Options, direction: int) -> Measured:
     """Both ways, half the round trip each; `ProfileError` with the line that is wrong."""
     windows = _is_windows([stamped(text)[1] for _, text in content_lines(path, comments="")])
     log = _windows(path) if windows else _numbered(path)
-    if not log.trips:
-        raise ProfileError(f"{path}: expected replies to pings, found none")
-    return _measured(path, options, log, _numbers(path, log.seen, log.transmitted))
+    return measured_pings(path, options, log)
 
 
 def _is_windows(texts: list[str]) -> bool:
@@ -87,8 +85,8 @@ def _is_windows(texts: list[str]) -> bool:
     )
 
 
-def _numbered(path: Path) -> _Log:
-    log, last, heading, host = _Log(), 0, "", ""
+def _numbered(path: Path) -> PingLog:
+    log, last, heading, host = PingLog(), 0, "", ""
     for line, written in content_lines(path):
         where, (stamp, text) = f"line {line}", stamped(written)
         if _HEADING.match(text):
@@ -134,9 +132,9 @@ def _numbered(path: Path) -> _Log:
     return log
 
 
-def _windows(path: Path) -> _Log:
+def _windows(path: Path) -> PingLog:
     """Each line between the heading, or the first reply, and a blank line is a ping."""
-    log, begun, ended, below = _Log(), False, False, 0
+    log, begun, ended, below = PingLog(), False, False, 0
     for line, written in lines(path):
         where, (stamp, text) = f"line {line}", stamped(written)
         reply = _WINDOWS.search(text)
@@ -177,7 +175,11 @@ def _numbers(path: Path, seen: set[int], transmitted: int | None) -> np.ndarray:
     return np.arange(first, last + 1)
 
 
-def _measured(path: Path, options: Options, log: _Log, numbers: np.ndarray) -> Measured:
+def measured_pings(path: Path, options: Options, log: PingLog) -> Measured:
+    """Both ways of a log, half of each round trip; `ProfileError` if nothing was answered."""
+    if not log.trips:
+        raise ProfileError(f"{path}: expected replies to pings, found none")
+    numbers = _numbers(path, log.seen, log.transmitted)
     notes = [HALF_NOTE, "a ping without a reply counts as lost on both ways", *log.notes]
     answered = np.array(sorted(log.trips))
     round_trip = np.zeros(len(numbers), dtype=np.int64)
@@ -208,7 +210,7 @@ def _measured(path: Path, options: Options, log: _Log, numbers: np.ndarray) -> M
 
 
 def _interval(
-    options: Options, log: _Log, known: np.ndarray, came: np.ndarray
+    options: Options, log: PingLog, known: np.ndarray, came: np.ndarray
 ) -> tuple[int | None, str]:
     """Time between pings [ns] and where it is from, where the times of replies do not tell it."""
     if options.interval_ns is not None:

@@ -9,16 +9,19 @@ from __future__ import annotations
 import gzip
 import io
 import itertools
+import json
 import math
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from shared.errors import ProfileError
 
 MAX_RECORDS = 20_000_000
 _MAX_LINE = 1 << 16
+_MAX_JSON = 1 << 29
 MAX_NS = 4.6e18  # 62 bits: sums and differences of two still fit 63
 _GZIP = b"\x1f\x8b"
 _BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
@@ -92,6 +95,22 @@ def is_unfinished(path: Path, line: int) -> bool:
     with opened(path) as file:
         text = io.TextIOWrapper(file, encoding=_encoding(file.peek(3)), errors="replace")
         return not next(itertools.islice(text, line - 1, None), "\n").endswith("\n")
+
+
+def json_document(path: Path, writer: str) -> Any:
+    """What a file of JSON says; `ProfileError` with the line where it stops being that."""
+    with opened(path) as file:
+        data = file.read(_MAX_JSON + 1)
+    if len(data) > _MAX_JSON:
+        raise ProfileError(f"{path}: expected at most {_MAX_JSON >> 20} MiB of JSON")
+    try:
+        return json.loads(decoded(data))
+    except json.JSONDecodeError as error:
+        raise ProfileError(
+            f"{path}, line {error.lineno}: expected whole JSON, as {writer} writes it: {error.msg}"
+        ) from None
+    except (ValueError, RecursionError) as error:
+        raise ProfileError(f"{path}: expected JSON as {writer} writes it: {error}") from None
 
 
 def wrong(path: Path, where: str, expected: str, got: object) -> ProfileError:

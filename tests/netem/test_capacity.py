@@ -150,3 +150,33 @@ def test_a_link_that_carries_nothing_is_refused():
     )
     with pytest.raises(ProfileError, match="uplink carries nothing"):
         capacity_of(profile)
+
+
+@pytest.mark.parametrize(
+    "metadata",
+    [
+        {"rate_hz": 100},
+        {"packets": {"uplink": 5, "downlink": 50}},
+        {"packets": {"uplink": 500, "downlink": 500}, "interpolated": {"uplink": 0.5}},
+    ],
+    ids=["rate", "packets", "bursts"],
+)
+def test_a_load_of_less_than_a_message_a_period_tells_no_capacity(metadata):
+    slow = recorded([5.0] * 50, size=1000)
+    slow.metadata.update(metadata)
+    with pytest.raises(ProfileError, match="a message in every period of 1 ms, got"):
+        capacity_of(slow)
+    # Told by itself, the capacity needs no messages.
+    given = {f"{way}_capacity_bytes": np.full(50, 1000.0) for way in ("uplink", "downlink")}
+    told = recorded([5.0] * 50, size=1000, **given)
+    told.metadata.update(metadata)
+    assert capacity_of(told).capacity.sum() == 100_000
+
+
+@pytest.mark.parametrize(
+    "metadata", [{"rate_hz": 1000}, {"rate_hz": "often"}, {"packets": 7}, {"packets": {}}]
+)
+def test_a_message_a_period_or_nothing_said_of_it_is_enough(metadata):
+    fast = recorded([5.0] * 50, size=1000)
+    fast.metadata.update(metadata)
+    assert capacity_of(fast).capacity.shape == (2, 50)

@@ -108,7 +108,20 @@ def test_a_full_queue_loses_what_comes(convert, written):
 
 
 def test_a_trace_without_a_load_is_refused_with_how_to_give_one(refused, written):
-    assert "--load 1000B@1kHz/40000B@1kHz" in refused(written("trace", "1\n2\n"))
+    text = refused(written("trace", "1\n2\n"))
+    assert "--load 1000B@500Hz/1000B@1kHz" in text
+    assert "--columns 'rtt=1(ms)' --interval 10ms" in text
+
+
+@pytest.mark.parametrize(("size", "above"), [(1000, False), (2000, True)])
+def test_a_load_above_what_the_trace_carries_is_warned_about(convert, written, size, above):
+    trace = written("trace", "".join(f"{k}\n" for k in range(1, 1001)))
+    load = ("--load", f"{size}B@1kHz", "--other-way", "same")
+    notes = convert(trace, *load).metadata["notes"]
+    words = f"the load is {size * 0.008:.3g} Mbit/s, the trace carries 12 Mbit/s in the mean"
+    told = [note for note in notes if words in note]
+    assert len(told) == 2
+    assert all(("warning" in note) == above for note in told)
 
 
 @pytest.mark.parametrize(

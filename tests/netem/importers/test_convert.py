@@ -87,8 +87,8 @@ def test_a_period_is_chosen(convert, sample):
 
 
 def test_an_unknown_format_is_refused_with_all_names(refused, sample, written):
-    text = refused(sample("ping_D_sample.txt"), "--format", "flent")
-    assert "'flent'" in text
+    text = refused(sample("ping_D_sample.txt"), "--format", "sundial")
+    assert "'sundial'" in text
     for each in FORMATS:
         assert each.name in text
     text = refused(written("what.txt", "dear diary\n"))

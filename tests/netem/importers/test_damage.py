@@ -27,6 +27,34 @@ NR = """time(s)\tcellId\trnti\tlcid\tpacketSize\tdelay(s)
 0.402\t1\t1\t4\t1030\t0.0006
 0.4031\t1\t1\t4\t1030\t0.0007
 """
+WINDOWS = """
+Pinging host.example [192.0.2.7] with 32 bytes of data:
+Reply from 192.0.2.7: bytes=32 time=87ms TTL=51
+Request timed out.
+Reply from 192.0.2.7: bytes=32 time<1ms TTL=51
+
+Ping statistics for 192.0.2.7:
+    Packets: Sent = 3, Received = 2, Lost = 1 (33% loss),
+"""
+FPING = """[1700000000.10000] 192.0.2.7 : [0], 64 bytes, 12.3 ms (12.3 avg, 0% loss)
+[1700000000.20000] 192.0.2.7 : [1], timed out (NaN avg, 50% loss)
+[1700000000.30000] 192.0.2.7 : [2], 64 bytes, 11.3 ms (11.8 avg, 33% loss)
+"""
+HEADLESS = """Tx 0.1 1 1 3 100
+Rx 0.1005 1 1 3 100 500000
+Tx 0.101 1 1 3 100
+Rx 0.1015 1 1 3 100 500000
+"""
+DATES = """Device: X
+
+date time;rtt_ms
+2023-11-14 22:13:20.00;20
+2023-11-14 22:13:20.01;nan
+2023-11-14 22:13:20.02;21
+"""
+FLENT = """{"metadata": {}, "x_values": [], "raw_values": {"Ping (ms) ICMP": [
+{"seq": 1.0, "t": 1436735904.39, "val": 50.1}, {"seq": 3.0, "t": 1436735904.6, "val": 49.7}]}}
+"""
 NETEM = "# a table\n -16384 -8192 -4096 0\n 0 4096 8192 16384\n"
 HISTOGRAM = """<histogram>
     <bin low="-inf ms">0</bin>
@@ -73,10 +101,18 @@ CASES = {
         QUOTED.encode(),
         ["--columns", "sent=t (s),delay=delay (ms)", "--other-way", "same"],
     ),
+    "ping of Windows": (WINDOWS.encode(), ["--interval", "10ms"]),
+    "fping": (FPING.encode(), []),
+    "ns3 headless": (HEADLESS.encode(), ["--other-way", "same"]),
+    "table of dates": (DATES.encode(), ["--columns", "sent=date time,rtt=rtt_ms"]),
+    "flent": (FLENT.encode(), []),
     "pcap": (text_of("s1u_gnb_gtpu.pcap"), [SAMPLES / "sgi_remotehost_dl.pcap"]),
+    "pcapng": (text_of("near.pcapng"), [SAMPLES / "far.pcapng", "--other-way", "same"]),
     "gzip": (gzip.compress(PING.encode(), mtime=0), ["--interval", "10ms"]),
 }
+BINARY = ("pcap", "pcapng", "gzip")
 FORCED = {
+    "flent": "flent",
     "ns3": "ns3 per packet",
     "irtt": "irtt",
     "ping": "ping",
@@ -137,7 +173,7 @@ def test_damaged_bytes_make_a_profile_or_an_error_of_one_line(case, tmp_path, rn
         outcome(tmp_path, bytes(damaged), rest)
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if case not in ("pcap", "gzip")])
+@pytest.mark.parametrize("case", [case for case in CASES if case not in BINARY])
 @pytest.mark.parametrize(
     "junk", ["nan", "inf", "-5", "1e300", "9" * 30, "", "x", "0x10", "1_000", "٣", "\0", "1e18"]
 )

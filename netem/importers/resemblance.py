@@ -1,0 +1,139 @@
+"""What a file looks like that is like no known format: what other thing it is, or how to read it.
+
+A table is recognised by its rows, and the `--columns` that would read it are made from its names,
+as far as they say what they are: a time, a delay, a unit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+from netem.importers.source import decoded
+from netem.importers.table_text import PREAMBLE, split_names
+from netem.importers.times import bare, date_time_ns, unit_ns
+from shared.errors import ProfileError
+
+_DELAYS_ALONE = "--columns 'rtt=1(ms)' --interval 10ms"
+_IRTT = "irtt client -o FILE.json"
+# How others begin, what they are and what to do.
+_MAGICS = (
+    (b"\xd0\xcf\x11\xe0", "a workbook", "save the sheet as CSV"),
+    (b"PK\x03\x04", "a zip archive", "unpack it"),
+    (b"\x89HDF", "HDF5", "write its columns as CSV or parquet"),
+    (b"SQLite format 3", "a database (rosbag2, too)", "write its columns as CSV or parquet"),
+    (b"#ROSBAG", "a rosbag", "write times of sending and receiving as CSV"),
+    (b"\x89MCAP", "MCAP", "write times of sending and receiving as CSV"),
+    (b"BZh", "compressed by bzip2", "unpack it"),
+    (b"\xfd7zXZ", "compressed by xz", "unpack it"),
+    (b"\x28\xb5\x2f\xfd", "compressed by zstd", "unpack it"),
+    (b"7z\xbc\xaf", "a 7z archive", "unpack it"),
+    (b"%PDF", "a PDF", "take the numbers that it is made of"),
+)
+# What a column is called, of which meaning; the first that fits counts.
+_NAMES: tuple[tuple[str, str], ...] = (
+    ("received", "recv received receive rx sub arrival arrived"),
+    ("sent", "sent send tx pub time timestamp ts t date datetime stamp epoch elapsed when start"),
+    ("uplink", "uplink ul up u"),
+    ("downlink", "downlink dl down"),
+    ("rtt", "rtt roundtrip trip ping latency"),
+    ("delay", "delay owd oneway latencies d"),
+)
+
+
+def refuse_others(path: Path, start: bytes) -> None:
+    """`ProfileError` if the file is of a kind that has no delays in it, or none to be read here."""
+    if b"xl/workbook" in start or b"opendocument.spreadsheet" in start[:200]:
+        raise _refusal(path, "a workbook", "save the sheet as CSV")
+    for magic, kind, advice in _MAGICS:
+        if start.startswith(magic):
+            raise _refusal(path, kind, advice)
+    text = decoded(start)
+    if re.search(r"\bseq=\d+ rtt=[\d.]+[mµu]?s\b", text):
+        raise _refusal(path, "irtt's text", f"its JSON, of {_IRTT}")
+    if re.search(r'"version":\s*"iperf|^\[ *ID\] Interval|^Connecting to host', text, re.MULTILINE):
+        raise _refusal(path, "iperf's sums, without delays of packets", f"ping -D or {_IRTT}")
+    if "<FlowMonitor" in text:
+        raise _refusal(path, "ns-3's FlowMonitor: sums, no packets", "*PdcpStats.txt")
+
+
+def _refusal(path: Path, kind: str, advice: str) -> ProfileError:
+    return ProfileError(f"{path}: expected delays of packets, got {kind}; try: {advice}")
+
+
+def resemblance(content: list[str]) -> str:
+    """What lines look like, with the flags that would read them; empty if like nothing."""
+    rows = [split_names(line) for line in content[:PREAMBLE]]
+    if not rows:
+        return ""
+    numbers = [[_is_number(cell) for cell in row] for row in rows]
+    if all(kinds == [True] for kinds in numbers):
+        return (
+            f"it is one number a line: {_DELAYS_ALONE} if they are round trips in ms; a trace of "
+            "Mahimahi has times in whole ms, none before the last (--format mahimahi)"
+        )
+    if all(kinds == [True, True] for kinds in numbers):
+        return (
+            "it is two columns of numbers: --format histogram if they are a low in ms and a count, "
+            f"--columns 'sent=1{_unit(rows[0][0])},rtt=2(ms)' if a time and a round trip"
+        )
+    if all(len(row) == 2 and kinds[0] for row, kinds in zip(rows, numbers, strict=True)):
+        return (
+            "it is numbers and a word each: beside the table of the other end, --columns "
+            f"'time=1{_unit(rows[0][0])},id=2' if they are times and what packets are known by"
+        )
+    for names, row in itertools.pairwise(rows):
+        if columns := _columns(names, row):
+            return f"it looks like a table: try {columns}"
+    return ""
+
+
+def _columns(names: list[str], row: list[str]) -> str:
+    """Flags by the names of a header above a row of values; empty if they tell too little."""
+    found: dict[str, str] = {}
+    for name, cell in zip(names, row, strict=False):
+        meaning = _meaning(name)
+        if meaning is None or meaning in found or _is_number(name):
+            continue
+        date = date_time_ns(cell) is not None
+        if not date and not _is_number(cell):
+            continue
+        unit = "" if date or unit_ns(name, name) else "(ms)"
+        if unit and meaning in ("sent", "received"):
+            unit = _unit(cell)
+        found[meaning] = name + unit
+    if "uplink" in found and "downlink" not in found and "delay" in found:
+        found["downlink"] = found["delay"]
+    keys: tuple[str, ...]
+    keys = tuple(key for key in ("rtt", "delay", "received") if key in found)[:1]
+    if {"uplink", "downlink"} <= found.keys():
+        keys = ("uplink", "downlink")
+    if not keys:
+        return ""
+    timed = "sent" in found
+    columns = ",".join(f"{key}={found[key]}" for key in (("sent",) * timed + keys))
+    return f"--columns '{columns}'" + ("" if timed else " --interval 10ms")
+
+
+def _meaning(name: str) -> str | None:
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare(name))
+    words = set(re.findall(r"[a-z]+", spaced.lower()))
+    return next((key for key, of in _NAMES if words & set(of.split())), None)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _unit(cell: str) -> str:
+    """The unit of a time since 1970 by its size; s if it is none."""
+    try:
+        digits = len(str(int(abs(float(cell)))))
+    except ValueError:
+        return ""
+    return "(ns)" if digits > 17 else "(us)" if digits > 14 else "(ms)" if digits > 11 else "(s)"
