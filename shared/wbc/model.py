@@ -24,6 +24,22 @@ from shared.robots.description import sole_frame_name
 Live = NewType("Live", np.ndarray)
 
 
+class _Held:
+    """The memory of an array together with its owner, for numpy."""
+
+    def __init__(self, array: np.ndarray, owner: object) -> None:
+        self.__array_interface__ = array.__array_interface__
+        self.owner = owner
+
+
+def live(array: np.ndarray, owner: object) -> Live:
+    """Return a view of an array in the memory of `owner`, which lives as long as the view.
+
+    Pinocchio's own views of an element of a vector do not keep the vector alive.
+    """
+    return Live(np.asarray(_Held(array, owner)))
+
+
 @dataclass(slots=True)
 class Kinematics:
     """Terms of b at (q, v); and, at a solution (a, f), those of the residual b − M (a, f).
@@ -87,7 +103,11 @@ class RowMultipliers:
 class _Sole:
     """A sole frame on the joint that carries it: from live motions of the joint to its own."""
 
-    def __init__(self, model: pin.Model, data: pin.Data, force: pin.Force, foot: Foot) -> None:
+    def __init__(
+        self, model: pin.Model, data: pin.Data, forces: pin.StdVec_Force, foot: Foot
+    ) -> None:
+        # `world_from_joint` is in its memory.
+        self._data = data
         self.frame = model.getFrameId(sole_frame_name(foot))
         self.joint_from_sole = model.frames[self.frame].placement
         self.origin_in_joint = self.joint_from_sole.translation
@@ -95,9 +115,9 @@ class _Sole:
         self.world_from_joint = data.oMi[joint]
         self._sole_from_joint = np.ascontiguousarray(self.joint_from_sole.toActionMatrixInverse())
         self._joint_from_wrench = np.ascontiguousarray(self.joint_from_sole.toDualActionMatrix())
-        self._velocity: Live = data.v[joint].vector
-        self._acceleration: Live = data.a[joint].vector
-        self._force: Live = force.vector
+        self._velocity = live(data.v[joint].vector, data)
+        self._acceleration = live(data.a[joint].vector, data)
+        self._force = live(forces[joint].vector, forces)
 
     def placement(self) -> pin.SE3:
         """World from sole."""
@@ -136,19 +156,18 @@ class WholeBodyModel:
             self._external_forces.append(pin.Force.Zero())
         self._soles = {}
         for foot in Foot:
-            joint = self.model.frames[self.model.getFrameId(sole_frame_name(foot))].parentJoint
-            self._soles[foot] = _Sole(self.model, data, self._external_forces[joint], foot)
-        self._bias_force: Live = data.nle
-        self._generalised_force: Live = data.tau
+            self._soles[foot] = _Sole(self.model, data, self._external_forces, foot)
+        self._bias_force = live(data.nle, data)
+        self._generalised_force = live(data.tau, data)
         self._now = Kinematics(
             q=robot.q_standing,
             v=self._no_acceleration,
             a=None,
             force=self._bias_force,
-            com=data.com[0],
-            com_velocity=data.vcom[0],
-            com_acceleration=data.acom[0],
-            world_from_base=data.oMi[1].rotation,
+            com=live(data.com[0], data),
+            com_velocity=live(data.vcom[0], data),
+            com_acceleration=live(data.acom[0], data),
+            world_from_base=live(data.oMi[1].rotation, data),
             sole_velocity={foot: Live(np.zeros(6)) for foot in Foot},
             sole_acceleration={foot: Live(np.zeros(6)) for foot in Foot},
             soles=self._soles,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import sys
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -207,3 +210,25 @@ def frame_jacobian(robot, data, q, foot):
     """Jacobian of a sole by Pinocchio's one-call function, not the one that the model uses."""
     frame = robot.model.getFrameId(sole_frame_name(foot))
     return pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL)
+
+
+@pytest.mark.parametrize("name", ["com", "com_velocity", "com_acceleration", "world_from_base"])
+def test_a_live_view_keeps_its_memory_alive(robot, states, name):
+    model = WholeBodyModel(robot)
+    data, view = model.data, getattr(model.kinematics(*states[3]), name)
+    del model
+    gc.collect()
+    before = sys.getrefcount(data)
+    del view
+    assert sys.getrefcount(data) == before - 1
+
+
+def test_kinematics_keep_the_memory_of_their_soles_alive(robot, states):
+    model = WholeBodyModel(robot)
+    data, now = model.data, model.kinematics(*states[3])
+    del model
+    gc.collect()
+    before = sys.getrefcount(data)
+    del now
+    gc.collect()
+    assert sys.getrefcount(data) < before - 4
