@@ -97,7 +97,7 @@ def value_ns(
     if key in TIMES and ":" in cell:
         time = date_time_ns(cell)
         if time is None:
-            raise wrong(path, where, f"{key} as a date and time", cell)
+            raise wrong(path, where, f"{key} as in 2023-11-14 22:13:20.5", cell)
         return time
     total = 0
     for text, unit in zip(written, place.units_ns, strict=True):

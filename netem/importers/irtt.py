@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from netem.importers.measured import Measured, Way, halved, ordered
+from netem.importers.measured import Measured, Way, halved, ordered, stepped_back_note
 from netem.importers.options import Options
 from netem.importers.source import json_document, wrong
 from shared.errors import ProfileError
@@ -47,7 +47,7 @@ def read_irtt(path: Path, options: Options, direction: int) -> Measured:
     sent = _sending_times(path, rows, interval)
     lost = np.array([row["lost"] for row in rows])
     nowhere = "a packet lost no one knows where counts as lost on both ways"
-    notes = (nowhere,) if (lost == "true").any() else ()
+    notes = (*((nowhere,) if (lost == "true").any() else ()), *stepped_back_note(sent))
     one_way = all(row["lost"] != "false" or row["send"] is not None for row in rows)
     if one_way and options.clock != "half":
         ways = _ways(rows, sent, lost, traffic)

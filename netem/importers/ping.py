@@ -159,6 +159,8 @@ def _windows(path: Path) -> PingLog:
         elif begun or log.seen:
             log.seen.add(len(log.seen))
         begun = begun or text.rstrip().endswith(":")
+    if len(log.trips) < len(log.seen) and not log.came:
+        log.notes.append("Windows waits up to 4 s for a reply: losses may have lasted longer")
     if below:
         log.notes.append(f"{below} round trips of less than 1 ms taken as 1 ms")
     return log

@@ -93,10 +93,10 @@ def _columns(names: list[str], row: list[str]) -> str:
     """Flags by the names of a header above a row of values; empty if they tell too little."""
     found: dict[str, str] = {}
     for name, cell in zip(names, row, strict=False):
-        meaning = _meaning(name)
+        date = date_time_ns(cell) is not None
+        meaning = _meaning(name) or ("sent" if date else None)
         if meaning is None or meaning in found or _is_number(name):
             continue
-        date = date_time_ns(cell) is not None
         if not date and not _is_number(cell):
             continue
         unit = "" if date or unit_ns(name, name) else "(ms)"

@@ -49,7 +49,7 @@ def read_text(path: Path, columns: Mapping[str, str], options: Options) -> Read:
                     ids.append(written[0])
                     continue
                 row[key] = value_ns(written, place, key, separator, options, path, f"line {line}")
-                if key in TIMES and is_time_of_day(" ".join(written)):
+                if key in TIMES and ":" in written[-1] and is_time_of_day(" ".join(written)):
                     clock.add(key)
         except ProfileError:
             if names or len(numbers) or line > PREAMBLE:
