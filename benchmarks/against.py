@@ -1,7 +1,8 @@
-"""This checkout beside another commit of it: ratios, measured in one run.
+"""Comparison of this checkout with another commit of the project, as ratios measured in one run.
 
-The other commit is checked out into a temporary folder and played in this environment, by a process
-of its own. The two take turns, trial by trial, so that what else the machine does meets both.
+The other commit is checked out into a temporary folder. A separate process in this environment
+plays it. The two commits take turns, trial by trial, so that the other load of the machine meets
+both.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ Durations = dict[str, np.ndarray]
 
 
 class _Side:
-    """A checkout whose trials are played by a process of its own."""
+    """A checkout, with the process that plays its trials."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -51,7 +52,7 @@ class _Side:
         )
 
     def play(self, task: str, controller: str, *, seconds: float | None) -> Durations:
-        """A trial of so long with a stopwatch in it; or, with None, a whole one."""
+        """Play a trial of `seconds` with a stopwatch in it, or a whole one if `seconds` is None."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         asked = {"task": task, "controller": controller, "seconds": seconds}
@@ -67,7 +68,7 @@ class _Side:
 
 
 def run(commit: str, *, rounds: int, seconds: float) -> str:
-    """Measure; the table as text. `UserError` if there is no such commit to check out."""
+    """Measure, and return the table as text. Raise `UserError` if there is no such commit."""
     top = header()
     with ExitStack() as stack:
         identity, folder = stack.enter_context(_checked_out(commit))
@@ -141,7 +142,7 @@ def _git(*arguments: str) -> str:
 def _alternating(
     sides: list[_Side], take: Callable[[_Side], Durations], rounds: int
 ) -> list[dict[str, list[np.ndarray]]]:
-    """What `take` gives of each side, the sides in turn; per name the batches of all rounds."""
+    """Call `take` for the sides in turn. Return per side and name the batches of all rounds."""
     taken: list[dict[str, list[np.ndarray]]] = [{} for _ in sides]
     for _ in range(rounds):
         for side, batches in zip(sides, taken, strict=True):
@@ -159,7 +160,7 @@ def _trial_lines(
     return [
         _line(f"{task} {controller.upper()}, {name}", ours[name], others[name])
         for name in _TICK
-        # LC receives next to nothing.
+        # LC receives few messages.
         if np.median(np.concatenate(others[name])) > 0
     ]
 

@@ -1,8 +1,8 @@
-"""How well the capacity behind the shipped profiles gives their recorded delays back.
+"""Comparison of the recorded delays with the delays that the derived capacity gives.
 
 The recorded load, one message per millisecond each way, is sent through the queue of
-`capacity:NAME`. What leaves after the recording ended is left out: of the link then nothing is
-known. A tenth and a hundredth of the load show what sending less would have met.
+`capacity:NAME`. Messages that leave after the end of the recording are left out, because nothing is
+known of the link then. A tenth and a hundredth of the load show the delays of a smaller load.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Where the time goes: the robot's tick and the edge's step by their parts, messages, start-up.
+"""Time of the robot's tick and the edge's step by their parts, of messages and of start-up.
 
-The parts are timed in trials, where they are done (`benchmarks.in_loop`). What no trial does, other
-back ends of the QP and other levels of correction, is timed call after call, which takes half as
-long, at states of a disturbed standing robot, so that active sets differ from call to call.
+The parts are timed within trials (`benchmarks.in_loop`). No trial uses the other back ends of the
+QP and the other levels of correction. They are timed call after call, which takes half as long. The
+states are those of a disturbed standing robot, so that active sets differ from call to call.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from shared.wbc.stack import Stack, StackMatrices
 _N_STATES = 64
 _STARTS = 5
 _TRIALS = (("balance", "pr"), ("balance", "la"), ("balance", "lc"), ("walk", "la"), ("walk", "lc"))
-# What is timed within the calls of the nodes, in the order of the table.
+# The parts timed within the calls of the nodes, in the order of the table.
 PARTS = (
     Part("robot_node.plant:MujocoPlant.state", "state of the plant"),
     Part("robot_node.sensors:Sensors.measure", "sensors"),
@@ -64,7 +64,7 @@ _REFERENCE = "QP, all 61 unknowns, daqp cold"
 
 @dataclass(frozen=True)
 class _Case:
-    """Everything that the parts need at one state."""
+    """The inputs of all parts at one state."""
 
     q: np.ndarray
     v: np.ndarray
@@ -84,7 +84,7 @@ class _Case:
 
 
 def run(*, repetitions: int, seed: int, seconds: float) -> str:
-    """Measure everything; the tables as text."""
+    """Measure every part, and return the tables as text."""
     config = RunConfig()
     robot = load_robot(config.robot.name)
     top = header()
@@ -108,7 +108,7 @@ def run(*, repetitions: int, seed: int, seconds: float) -> str:
 
 
 def _in_trials(seconds: float) -> list[str]:
-    """For every trial a line per part, indented by what it is a part of."""
+    """Return for every trial a line per part, indented below the part that contains it."""
     lines = [["", "per tick", "p50", "p99"]]
     for task, controller in _TRIALS:
         calls = timed_calls(
@@ -126,7 +126,7 @@ def _in_trials(seconds: float) -> list[str]:
 
 
 def _by_path(calls: Sequence[Call], *, warm_ticks: int) -> list[tuple[tuple[str, ...], np.ndarray]]:
-    """Durations of every path of the last ticks, a part after what it is a part of."""
+    """Durations of every path in the last ticks. Each part follows the part that contains it."""
     measured = [k for k, (path, _) in enumerate(calls) if path == ("measure",)]
     by_path: dict[tuple[str, ...], list[int]] = {}
     for path, duration in calls[measured[-warm_ticks - 1] + 1 :]:
@@ -216,7 +216,7 @@ def _cases(robot: Robot, stack: Stack, config: RunConfig, seed: int) -> list[_Ca
     daqp = DaqpSolver()
     cases = []
     for _ in range(_N_STATES):
-        # Its own for each: kinematics are those of a model's last call.
+        # A separate model for each: kinematics are those of a model's last call.
         model = WholeBodyModel(robot)
         q = pin.integrate(robot.model, robot.q_standing, 0.03 * rng.standard_normal(model.nv))
         v = 0.1 * rng.standard_normal(model.nv)

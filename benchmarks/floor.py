@@ -1,7 +1,7 @@
-"""What no Python can beat: the calls that a tick and an edge's step are made of at the least.
+"""Lower bound of a tick and of an edge's step in Python: the calls that they cannot do without.
 
-Bare calls of Pinocchio, LAPACK, daqp and Zenoh, and moving the bytes of a message, one after the
-other on warm caches. Below the sum of its calls no tick gets, whatever is around them.
+The calls are bare ones of Pinocchio, LAPACK, daqp and Zenoh, and the move of a message's bytes.
+They run one after the other on warm caches. No tick takes less than the sum of its calls.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _UNKNOWNS, _ROWS, _EQUALITIES, _FORCES, _INEQUALITIES = 61, 56, 18, 24, 40
 
 
 def run(*, repetitions: int) -> str:
-    """Measure; the tables as text."""
+    """Measure, and return the tables as text."""
     top = header()
     lines = [["", "p50 [µs]", "p99 [µs]"]]
     timings = {timing.name: timing for timing in _calls(repetitions)}
@@ -142,7 +142,7 @@ def _timed(
 
 
 def _problem(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """A QP of the size of that in the forces, none of whose rows becomes active."""
+    """A QP of the size of the QP in the forces. None of its rows becomes active."""
     H = rng.random((_FORCES, _FORCES))
     H = H @ H.T + np.eye(_FORCES)
     rows = rng.random((_INEQUALITIES, _FORCES))

@@ -1,11 +1,12 @@
-"""What a trial's computations take where they are done, call by call.
+"""Duration of a trial's computations within the trial, call by call.
 
-In a loop of their own the same calls take half as long: here the rest of the trial has displaced
-them from the caches, as on a robot. Trials are lockstep ones, the calls those of their nodes.
+In a separate loop the same calls take half as long. Here the rest of the trial has displaced them
+from the caches, as on a robot. The trials are in lockstep, and the calls are those of their nodes.
 
 `python -I benchmarks/in_loop.py FOLDER` plays trials of another checkout of the project, for
-`benchmarks.against`: a line of JSON for each that it reads. For that nothing of the project is
-imported before it is known which one, and only names are used that old ones have too.
+`benchmarks.against`. It prints a line of JSON for each line that it reads. It therefore imports
+nothing of the project before the checkout is known, and uses only names that old checkouts have
+too.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import numpy as np
 
 NETWORK = "constant:25ms"
 WHOLE, RECORD, EDGE = "tick", "record", "edge step"
-# Left out of every trial: until then caches and branch predictors are cold.
+# Ticks left out of every trial: until then caches and branch predictors are cold.
 _WARM_UP = 100
 # Calls of a node in a tick, once or more often; `ADVANCE` ends it.
 _ADVANCE, _PLANT = "advance", "plant"
@@ -46,7 +47,7 @@ class Part:
     name: str
 
     def find(self) -> tuple[Any, str]:
-        """Its owner, a module or a class, and its name there."""
+        """Return the owner, a module or a class, and the name in it."""
         module, _, path = self.where.partition(":")
         owner = importlib.import_module(module)
         *classes, name = path.split(".")
@@ -69,7 +70,7 @@ _OLD_RECORD = Part("robot_node.node:RobotNode.record", RECORD)
 
 
 class Stopwatch:
-    """Every timed call in the order in which they ended, their durations by a clock."""
+    """Every timed call with its duration by a clock, in the order in which the calls ended."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -78,7 +79,7 @@ class Stopwatch:
 
     @contextmanager
     def on(self, parts: Sequence[Part]) -> Iterator[None]:
-        """Time these in all objects, until the context ends."""
+        """Time `parts` in all objects, until the context ends."""
         with ExitStack() as undo:
             for part in parts:
                 owner, name = part.find()
@@ -104,10 +105,10 @@ class Stopwatch:
 
 
 def ticks(calls: Sequence[Call]) -> dict[str, np.ndarray]:
-    """Of the calls of `NODES`: per tick what it takes to measure, receive, command, record and in
-    all, and the edge's steps [ns].
+    """Durations per tick [ns], from the calls of `NODES`: measure, receive, command, record and the
+    sum, and the edge's steps.
 
-    To record is all that ends a tick but the plant's step.
+    *Record* covers the end of a tick except the plant's step.
     """
     ended: dict[str, list[int]] = {}
     tick: dict[str, int] = {}
@@ -133,7 +134,9 @@ def ticks(calls: Sequence[Call]) -> dict[str, np.ndarray]:
 
 
 def make_trial(task: str, controller: str, *, seconds: float | None) -> Callable[[], Any]:
-    """Build a trial of so long, or to the end of its task; what plays it."""
+    """Build a trial of `seconds`, or to the end of its task if None. Return the function that plays
+    it.
+    """
     given: dict[str, Any] = {"task": task, "controller": controller, "link.network": NETWORK}
     if seconds is not None:
         given["duration"] = seconds
@@ -148,7 +151,7 @@ def make_trial(task: str, controller: str, *, seconds: float | None) -> Callable
 def timed_calls(
     parts: Sequence[Part], task: str, controller: str, *, seconds: float, clock: Clock
 ) -> list[Call]:
-    """Play a trial with a stopwatch in these parts; its calls."""
+    """Play a trial with a stopwatch in `parts`, and return the calls."""
     stopwatch = Stopwatch(clock)
     run = make_trial(task, controller, seconds=seconds)
     gc.collect()
@@ -160,7 +163,7 @@ def timed_calls(
 
 
 def _without_idle_steps(calls: list[Call]) -> list[Call]:
-    """Without the edge's looks for a state where none had come."""
+    """Leave out the edge's looks for a state at which none had come."""
     kept, received = [], False
     for path, duration in calls:
         if path == (_EDGE_STEP,) and not received:
@@ -195,7 +198,7 @@ def _answer(asked: Mapping[str, Any]) -> dict[str, list[int]]:
     owner, name = _OLD_RECORD.find()
     if hasattr(owner, name):
         parts.append(_OLD_RECORD)
-    # What others take of the machine is not counted.
+    # The load of other processes is not counted.
     calls = timed_calls(parts, **asked, clock=time.thread_time_ns)
     return {name: durations.tolist() for name, durations in ticks(calls).items()}
 

@@ -1,10 +1,10 @@
-"""One end of a link under test, as a process: sends at 1 kHz and notes what arrives when.
+"""One end of a link under test, as a process: sends at 1 kHz and notes each arrival with its time.
 
-`python -m benchmarks.link_end near …` stands where the robot stands, `far` where the edge does,
-each at its priority. Stamps are the machine's monotonic clock, the same at both ends. With
-`--answer` the far end sends nothing of its own but answers the newest message, as the edge does;
-its answer begins with the time at which that message was sent. Prints READY, then FIRST when
-something has arrived. SIGTERM ends the sending; what is still on its way is waited for.
+`python -m benchmarks.link_end near …` takes the robot's place, `far` the edge's, each at its
+priority. Stamps are the machine's monotonic clock, the same at both ends. With `--answer` the far
+end sends only answers, each to the newest message, as the edge does. An answer begins with the time
+at which that message was sent. The process prints READY, then FIRST at the first arrival. SIGTERM
+ends the sending; the process then waits for the messages still on their way.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ _PERIOD_NS = 1_000_000
 _POLL_NS = 50_000_000
 # No profile that is measured holds a message longer than this.
 _DRAIN_SECONDS = 1.0
-# As robot_node and edge_node.
+# The same as in robot_node and edge_node.
 _PRIORITIES = {"near": 30, "far": 10}
 _STAMP = struct.Struct("<q")
-# Columns of what is written.
+# Columns of the written table.
 SEQUENCE, SENT, ARRIVED, ECHOED = range(4)
 
 
@@ -60,7 +60,7 @@ class Arrivals:
         self.inbox.put(delivery)
 
     def take(self) -> bool:
-        """Whether anything has arrived since the last call."""
+        """Return whether a message has arrived since the last call."""
         arrived = bool(self.inbox.take())
         if arrived and not self._reported:
             self._reported = True
@@ -68,7 +68,7 @@ class Arrivals:
         return arrived
 
     def table(self) -> np.ndarray:
-        """Shape (n, 4) int64, in the order of arrival."""
+        """Return the arrivals, shape (n, 4) int64, in the order of arrival."""
         return np.array(self._rows, dtype=np.int64).reshape(-1, 4)
 
 
@@ -100,7 +100,7 @@ def main() -> int:
 
 
 def _send(publisher: Publisher, arrivals: Arrivals, stop: StopSignal, *, n_bytes: int) -> None:
-    """One message per period until stopped."""
+    """Send one message per period until stopped."""
     message = bytes(n_bytes)
     ticker = Ticker(start_ns=time.monotonic_ns(), period_ns=_PERIOD_NS)
     while not stop.requested:
@@ -111,7 +111,7 @@ def _send(publisher: Publisher, arrivals: Arrivals, stop: StopSignal, *, n_bytes
 
 
 def _answer(publisher: Publisher, arrivals: Arrivals, stop: StopSignal, *, n_bytes: int) -> None:
-    """An answer to the newest message whenever there is one."""
+    """Answer the newest message when one has arrived, until stopped."""
     rest = bytes(n_bytes - _STAMP.size)
     while not stop.requested:
         arrivals.inbox.wait(_POLL_NS)

@@ -1,7 +1,7 @@
-"""What can stand between the two ends of a link under test, as contexts.
+"""The paths between the two ends of a link under test, as contexts.
 
-`direct` nothing, `shim` the real `./wbc netem replay`, `packets` the packet-level shim,
-`kernel` the kernel's own emulation, `tc … netem`, where the machine has it.
+`direct` has nothing in between, `shim` the real `./wbc netem replay`, and `packets` the
+packet-level shim. `kernel` has the kernel's emulation, `tc … netem`, where the machine has it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def end_with_parent() -> None:
 
 
 class Started:
-    """A module of ours as a process of its own."""
+    """A separate process of one of the project's modules."""
 
     def __init__(self, *arguments: str, prefix: tuple[str, ...] = ()) -> None:
         self._name = " ".join(arguments[:2])
@@ -50,7 +50,7 @@ class Started:
         self._heard = b""
 
     def wait_for(self, word: str) -> None:
-        """Until it has printed `word`; `LinkError` if it ends before."""
+        """Wait until the process has printed `word`. Raise `LinkError` if it ends before."""
         assert self._popen.stdout is not None
         deadline = time.monotonic() + _READY_SECONDS
         while word.encode() not in self._heard:
@@ -65,22 +65,22 @@ class Started:
 
     @property
     def output(self) -> str:
-        """What it has printed so far."""
+        """Return the output so far."""
         return self._heard.decode(errors="replace")
 
     def processor_seconds(self) -> float:
-        """User and system time so far [s]."""
+        """Return the user and system time so far [s]."""
         stat = Path(f"/proc/{self._popen.pid}/stat").read_text(encoding="utf-8")
         user, system = stat.rpartition(")")[2].split()[11:13]
         return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
     def end(self) -> None:
-        """Ask it to stop."""
+        """Ask the process to stop."""
         if self._popen.poll() is None:
             self._popen.send_signal(signal.SIGTERM)
 
     def wait(self) -> None:
-        """Until it has stopped; killed if it does not."""
+        """Wait until the process has stopped. Kill it after a timeout."""
         try:
             self._popen.wait(timeout=_END_SECONDS)
         except subprocess.TimeoutExpired:
@@ -105,7 +105,7 @@ class LinkPath:
 
 @contextmanager
 def started(*arguments: str, prefix: tuple[str, ...] = (), wait: bool = True) -> Iterator[Started]:
-    """A process, ready unless it is not waited for, and ended with the context."""
+    """Start a process, wait until it is ready if `wait`, and end it with the context."""
     process = Started(*arguments, prefix=prefix)
     try:
         if wait:
@@ -161,7 +161,7 @@ def kernel(delays_ms: tuple[float, float]) -> Iterator[LinkPath]:
 
 
 def why_no_kernel() -> str | None:
-    """Why the kernel cannot delay here; None if it can."""
+    """Return the reason why the kernel cannot delay here, or None if it can."""
     missing = why_not_permitted()
     if missing is not None:
         return missing

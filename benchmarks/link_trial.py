@@ -1,4 +1,4 @@
-"""One trial of a path between two ends, and how it compares with what the profile says."""
+"""One trial of a path between two ends, and its comparison with the profile."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ Open = Callable[[Path], AbstractContextManager[LinkPath]]
 
 @dataclass(frozen=True)
 class LinkTrial:
-    """What was sent within a span of time.
+    """The messages sent within a span of time.
 
-    `arrivals` at the far end and at the near end, uplink and downlink, (n, 4) as `link_end` has
-    them. `log` is the shim's own, empty without one. `processor` is the share of a core that what
-    stands in between took. `scheduling` is what the near end runs at.
+    `arrivals` holds the arrivals at the far end and at the near end, uplink and downlink, (n, 4)
+    each with the columns of `link_end`. `log` is the shim's log, empty without a shim. `processor`
+    is the share of a core that the process in between took. `scheduling` is the scheduling of the
+    near end.
     """
 
     arrivals: tuple[np.ndarray, np.ndarray]
@@ -37,7 +38,7 @@ class LinkTrial:
     scheduling: str
 
     def round_trips_ns(self) -> np.ndarray:
-        """Of the answers to the near end's messages (n,)."""
+        """Round trips of the answers to the near end's messages (n,) [ns]."""
         answers = self.arrivals[1]
         passed: np.ndarray = answers[:, ARRIVED] - answers[:, ECHOED]
         return passed
@@ -45,9 +46,11 @@ class LinkTrial:
 
 @dataclass(frozen=True)
 class WayErrors:
-    """One direction: achieved minus nominal delay of each message [ns], and what went wrong.
+    """Errors of one direction: achieved minus nominal delay of each message [ns], and what went
+    wrong.
 
-    `released_ns` until the shim had handed it on, `received_ns` until the receiver had it.
+    `released_ns` lasts until the shim has handed the message on, `received_ns` until the receiver
+    has it.
     """
 
     messages: int
@@ -59,7 +62,7 @@ class WayErrors:
 
 
 def run_trial(open_path: Open, *, seconds: float, answer: bool) -> LinkTrial:
-    """Send both ways for so long; with `answer` the far end only answers."""
+    """Send both ways for `seconds`. With `answer` the far end only answers."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with ExitStack() as stack:
@@ -101,7 +104,9 @@ def _processor_seconds(path: LinkPath) -> float:
 
 
 def way_errors(trial: LinkTrial, direction: int, *, one_way_ns: int | None) -> WayErrors:
-    """Errors of one direction; the nominal delay is `one_way_ns`, None: as the shim logged it."""
+    """Errors of one direction. The nominal delay is `one_way_ns`, or the delay in the shim's log if
+    None.
+    """
     arrivals = trial.arrivals[direction]
     sequence, sent_ns = arrivals[:, SEQUENCE], arrivals[:, SENT]
     released_ns = np.empty(0, dtype=np.int64)

@@ -1,12 +1,13 @@
-"""How fast a sweep's trials are played on one core, and where the time of a trial goes.
+"""Speed of a sweep's trials on one core, and the parts of a trial's time.
 
-Whole trials as a sweep plays them, from building robot and plan to the summary, one after another
-in one process; the median of the repetitions of each. What is timed in a tick is timed in place:
+Whole trials are played as a sweep plays them, from building robot and plan to the summary, one
+after another in one process. The result is the median of the repetitions of each trial. The parts
+of a tick are timed in place:
 
     controller   the local controller: b and A†b, or the correction, and the torque
-    robot        what else the robot does: sensing, the reference, codec, cache, guards
+    robot        the rest of the robot: sensing, the reference, codec, cache, guards
     edge         the state decoded; terms, QP, projector, torque; the answer encoded
-    plant        a step of MuJoCo, and whether the robot has fallen
+    plant        a step of MuJoCo, and the check for a fall
     telemetry    the row of the tick, with the metrics in it
     link         all the rest: events, delay lines, bus, rows of messages and solves
 """
@@ -34,8 +35,8 @@ _TICK = ("controller", "robot", "edge", "plant", "telemetry", "link")
 
 @dataclass(frozen=True)
 class TrialTime:
-    """A trial of `simulated` s: building it, playing it, its summary [s]; and of a tick, by part,
-    as in `_TICK` [s].
+    """Times of a trial of `simulated` seconds [s]: building, playing, summary; and of a tick by
+    part, as in `_TICK`.
     """
 
     simulated: float
@@ -46,12 +47,12 @@ class TrialTime:
 
     @property
     def per_minute(self) -> float:
-        """Such trials that one core plays in a minute."""
+        """The number of such trials that one core plays in a minute."""
         return 60.0 / (self.built + self.played + self.summed_up)
 
 
 def run(*, repetitions: int, seconds: float | None) -> str:
-    """Play balance and walk with each controller; the table as text."""
+    """Play balance and walk with each controller, and return the table as text."""
     top = header()
     lines = [
         ["", "simulated", "trials/min", "× real time", *_TICK, "tick", "start-up", "summary"],

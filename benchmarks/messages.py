@@ -1,7 +1,7 @@
-"""What a message takes: states sent and projectors received at 1 kHz, by the bus or by Zenoh alone.
+"""Processor time of a message: states sent and projectors received at 1 kHz, by bus or bare Zenoh.
 
-The other end is a process (`benchmarks.link_end`). To send is what the caller spends; to receive
-all that Zenoh's thread spends from one callback to the next, the callback included.
+The other end is a process (`benchmarks.link_end`). The time to send is the time of the caller. The
+time to receive is that of Zenoh's thread from one callback to the next, the callback included.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _WARM_UP = 100
 _PERIOD_NS = 1_000_000
 _UP, _DOWN = (channel.key_for(RobotConfig().name) for channel in (UPLINK, DOWNLINK))
 
-# A connection to an endpoint: what sends a message; notes the thread's time at each arrival.
+# A connection to an endpoint: sends a message; notes the thread's time at each arrival.
 Connect = Callable[[str, list[int]], AbstractContextManager[Callable[[bytes], object]]]
 
 
 def lines(connect: Connect) -> list[list[str]]:
-    """Rows of a table: what it takes to send and to receive."""
+    """Rows of a table: the processor time to send and to receive."""
     sent, received = measure(connect)
     table = [["", "p50 [µs]", "p99 [µs]"]]
     for name, durations in (
@@ -60,7 +60,7 @@ def measure(connect: Connect) -> tuple[np.ndarray, np.ndarray]:
             while len(arrivals) < _WARM_UP:
                 time.sleep(0.01)
             arrivals.clear()
-            # Not while anything is sent, which is the same thread's work.
+            # Not during a send, which is the same thread's work.
             while len(arrivals) < MESSAGES:
                 time.sleep(0.01)
             received = np.diff(arrivals[:MESSAGES])

@@ -1,9 +1,9 @@
-"""How exactly the link is emulated: nominal against achieved delay of every message.
+"""Accuracy of the emulated link: nominal against achieved delay of every message.
 
-Two ends (`link_end`) send 1 kB up and 40 kB down at 1 kHz each way. A message's error is how much
-longer it took than the profile says: *released*, from the sender's stamp until the shim has handed
-it on, and *received*, until the receiver's callback, with the transport behind the shim in it.
-The round trip is that of 1 kB out and of the 40 kB answer to it.
+Two ends (`link_end`) send 1 kB up and 40 kB down at 1 kHz each way. A message's error is its
+achieved minus its nominal delay. *Released* counts from the sender's stamp until the shim has
+handed the message on. *Received* counts until the receiver's callback, with the transport behind
+the shim in it. The round trip is that of 1 kB out and of the 40 kB answer to it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _QUANTILES = "    p50     p99     max"
 
 @dataclass(frozen=True)
 class _Case:
-    """A path; the one-way delay [ns] where no shim logs what it should be."""
+    """A path, and the one-way delay [ns] if no shim logs the nominal delay."""
 
     name: str
     open_path: Open
@@ -61,7 +61,7 @@ _KERNEL = _Case("kernel netem 10 ms", lambda out: kernel((_ONE_WAY_MS, _ONE_WAY_
 
 
 def run(*, seconds: float) -> str:
-    """Measure every path, idle and with every core busy; the tables as text."""
+    """Measure every path, idle and with every core busy. Return the tables as text."""
     busy = cores_busy(seconds=2.0)
     references, remarks = _references()
     errors, trips, scheduling = [], [], ""
@@ -101,7 +101,9 @@ def _packets(mtu: int, protocol: str) -> _Case:
 
 
 def _references() -> tuple[list[_Case], list[str]]:
-    """What the shim can be compared with on this machine, and what cannot be measured here."""
+    """References for the shim on this machine, and remarks on the references that cannot be
+    measured.
+    """
     cases: list[_Case] = []
     remarks: list[str] = []
     missing = why_not_permitted()

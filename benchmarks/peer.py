@@ -1,9 +1,10 @@
-"""A complete step of TSID and of placo, as a process in an environment of their own.
+"""A complete step of TSID and of placo, as a process in a separate environment.
 
-`python -I benchmarks/peer.py CASE.npz` with what `benchmarks.peers` wrote into CASE.npz: the robot,
-the tasks, and the states. Prints READY and the versions, then a line of JSON for each name that
-it reads, `tsid` or `placo`: the processor time [ns] of its step at every state, and the torques.
-Imports nothing of this project, whose packages are other versions of the same ones.
+`python -I benchmarks/peer.py CASE.npz` reads the robot, the tasks and the states from CASE.npz,
+which `benchmarks.peers` has written. It prints READY and the versions. Then it prints a line of
+JSON for each name that it reads, `tsid` or `placo`: the processor time [ns] of the step at every
+state, and the torques. It imports nothing of this project, whose packages are other versions of the
+same ones.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ SIDES = ("left", "right")
 # Of a contact [N]: TSID wants one; more than any contact of a robot of this size.
 MAX_FORCE = 1e4
 
-# Written before each step: what else a loop does leaves little in the caches.
+# Written before each step: the rest of a loop leaves little in the caches.
 OTHER_WORK = np.zeros(2**20, dtype=np.uint8)
 
 Step = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -43,7 +44,7 @@ def main() -> None:
 
 
 def batch(step: Step, q: np.ndarray, v: np.ndarray) -> dict[str, Any]:
-    """Take a step at every state: its processor time and its torques."""
+    """Take a step at every state. Return the processor times and the torques."""
     durations, torques = [], []
     for k in range(len(q)):
         OTHER_WORK.fill(k)
@@ -70,7 +71,7 @@ class TsidStep:
         tasks = self._tasks(robot, case)
         for task, weight in tasks:
             self._formulation.addMotionTask(task, weight, 1, 0.0)
-        # The formulation does not own what it is made of.
+        # The formulation does not own its parts.
         self._kept = robot, contacts, tasks
         self._solver = tsid.SolverHQuadProgFast("eiquadprog-fast")
         formulation = self._formulation
@@ -161,7 +162,7 @@ class PlacoStep:
 
 
 def check_joints(model: Any, case: dict[str, Any]) -> None:
-    """End here if the joints are not those of the states, in the same order."""
+    """Check that the joints are those of the states, in the same order. Exit otherwise."""
     found, expected = list(model.names)[2:], case["joints"].tolist()
     if found != expected:
         sys.exit(f"expected the joints {', '.join(expected)}, got {', '.join(found)}")

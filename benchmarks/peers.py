@@ -1,17 +1,18 @@
-"""Our tick and our edge beside a complete step of TSID and of placo: ratios, measured in one run.
+"""The project's tick and edge beside a complete step of TSID and of placo: ratios from one run.
 
-Same robot, same states (a balance under a push, sensed with noise), same tasks, gains and weights.
-A step of theirs is all that they do from (q, v) to a torque; ours are the robot's tick without its
-link and plant, and the edge's. Theirs runs in another process, in an environment of its own,
-because their packages need others than ours: `benchmarks/peer.py`. The two take turns, a batch of
-all states each, on one core, and the time is the thread's processor time. Before each step a
-megabyte is written, as what else a loop does would.
+All have the same robot, the same states (a balance under a push, sensed with noise), and the same
+tasks, gains and weights. A step of a peer is its whole computation from (q, v) to a torque. The
+project's steps are the robot's tick without its link and plant, and the edge's step. The peers run
+in another process and environment, because they need other packages than the project:
+`benchmarks/peer.py`. The two processes take turns on one core, a batch of all states each, and the
+time is the thread's processor time. Before each step a megabyte is written, as the rest of a loop
+would.
 
-Where the problems differ:
+The problems differ in two points:
 
 * TSID has one least normal force per foot instead of one per point. Where that is not active the
-  torques are the same, its regularisation of a foot's wrench being weighted as that of our point
-  forces.
+  torques are the same, because its regularisation of a foot's wrench is weighted as that of the
+  project's point forces.
 * placo has a wrench per foot, whose centre of pressure is to stay in the rectangle, and weights the
   three moments alike.
 """
@@ -70,7 +71,7 @@ Batch = Callable[[], np.ndarray]
 
 
 def run(*, rounds: int) -> str:
-    """Install the peers if need be, measure; the table as text, or why there is none."""
+    """Install the peers if need be, and measure. Return the table as text, or why there is none."""
     try:
         interpreter = environment()
     except LinkError as error:
@@ -106,9 +107,10 @@ def run(*, rounds: int) -> str:
 
 
 def environment(lock: Path = _LOCK) -> Path:
-    """The Python of the peers' environment, made if there is none for this lock and this Python.
+    """Return the Python of the peers' environment. Make it if there is none for this lock and
+    Python.
 
-    `LinkError` if it cannot be installed, with pip's last line.
+    Raise `LinkError` with pip's last line if it cannot be installed.
     """
     identity = hashlib.sha256(lock.read_bytes() + sys.version.encode()).hexdigest()[:12]
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -141,7 +143,7 @@ def pushed_states() -> States:
 
 
 def write_case(folder: Path, robot: Robot, config: RunConfig, states: States) -> Path:
-    """All that `benchmarks/peer.py` has to know, into `folder`; the file to give it."""
+    """Write the input of `benchmarks/peer.py` into `folder`. Return the file."""
     reference = Standing(robot).reference(0)
     urdf, corners = _urdf_with_soles(robot, folder / "robot.urdf")
     weights, gains = config.wbc.weights, config.wbc.gains
@@ -226,7 +228,7 @@ class _Peer:
         self.versions = self._line("READY ")
 
     def batch(self, name: str) -> Batch:
-        """The batch of one of `PEERS`."""
+        """Return the batch of one of `PEERS`."""
 
         def batch() -> np.ndarray:
             assert self._process.stdin is not None
@@ -239,7 +241,7 @@ class _Peer:
         return batch
 
     def _line(self, beginning: str) -> str:
-        """The rest of the next line that begins so."""
+        """Return the rest of the next line that begins with `beginning`."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if line.startswith(beginning):
@@ -265,7 +267,7 @@ def _peer(interpreter: Path, case: Path) -> Iterator[_Peer]:
 
 
 class _Posed:
-    """A plant that is in each of the given states in turn, whatever the torques are."""
+    """A plant that takes each of the given states in turn and ignores the torques."""
 
     def __init__(self, states: States) -> None:
         self._states = states
@@ -329,7 +331,7 @@ def _tick_batch(robot: Robot, config: RunConfig, states: States) -> Batch:
 
 
 def _edge_batches(robot: Robot, config: RunConfig, states: States) -> dict[str, Batch]:
-    """The edge's whole step, from bytes to bytes; and its solution and projector alone."""
+    """The edge's whole step, from bytes to bytes; and the solution and the projector alone."""
     motion = Standing(robot)
     edge, solver = (EdgeNode(robot, config, motion) for _ in range(2))
     robot_node, codec = _PosedRobot(robot, config, states), Codec(robot, config, motion)
@@ -362,7 +364,7 @@ def _edge_batches(robot: Robot, config: RunConfig, states: States) -> dict[str, 
 
 
 def _table(durations: dict[str, list[np.ndarray]]) -> list[str]:
-    """A line for each of ours, and for placo beside TSID; ratios."""
+    """A line for each of the project's steps, and for placo beside TSID, as ratios."""
     lines = [["", *(f"{cell} / {peer} step" for peer in PEERS for cell in ("p50", "p99"))]]
     for name, ours in durations.items():
         cells = []
@@ -376,7 +378,9 @@ def _table(durations: dict[str, list[np.ndarray]]) -> list[str]:
 def _torques(
     robot: Robot, config: RunConfig, states: States, torques: dict[str, np.ndarray]
 ) -> list[str]:
-    """How far their torques are from those of our full QP: the problems are nearly the same."""
+    """Distance of the peers' torques from those of the project's full QP. The problems are nearly
+    the same.
+    """
     full = WholeBodyController(robot, config.wbc, Standing(robot))
     mode = ContactMode.DOUBLE_SUPPORT
     ours = []

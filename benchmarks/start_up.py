@@ -1,4 +1,4 @@
-"""What a service takes until it can begin: user and system time of a Python that imports it."""
+"""Start-up time of a service: user and system time of a Python that imports it."""
 
 from __future__ import annotations
 

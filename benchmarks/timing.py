@@ -38,10 +38,10 @@ class Timing:
 
 @dataclass(frozen=True)
 class Ratio:
-    """How many times as long as another operation one takes, both measured in alternating batches.
+    """Ratio of the durations of two operations, both measured in alternating batches.
 
-    `p50` is the median, over the rounds, of the ratio of the two batches' medians, `least` and
-    `most` its extremes; `p99` the ratio of the 99th percentiles of all durations.
+    `p50` is the median, over the rounds, of the ratio of the two batches' medians; `least` and
+    `most` are its extremes. `p99` is the ratio of the 99th percentiles of all durations.
     """
 
     p50: float
@@ -51,7 +51,7 @@ class Ratio:
 
     @staticmethod
     def of(ours: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> Ratio:
-        """Of the durations in the batches of the same rounds."""
+        """Compute the ratio from the durations in the batches of the same rounds."""
         by_round = [
             np.median(one) / np.median(other) for one, other in zip(ours, others, strict=True)
         ]
@@ -65,12 +65,12 @@ class Ratio:
 
     @property
     def p50_text(self) -> str:
-        """`0.62 (0.60–0.65)`."""
+        """Text of `p50` and its extremes: `0.62 (0.60–0.65)`."""
         return f"{self.p50:.2f} ({self.least:.2f}–{self.most:.2f})"
 
 
 def pin_to_one_core() -> str:
-    """Keep this process on one core; says which."""
+    """Keep this process on one core. Return a text that names the core."""
     try:
         core = max(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {core})
@@ -80,13 +80,13 @@ def pin_to_one_core() -> str:
 
 
 def machine() -> str:
-    """CPU name, and what else was running: numbers from a busy machine are to be distrusted."""
+    """CPU name and the other load of the machine. Distrust numbers from a busy machine."""
     load = f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
     return f"{cpu_name()}, {os.cpu_count()} cores, load average {load}"
 
 
 def cores_busy(*, seconds: float) -> float:
-    """Share of all cores that was busy for so long, 0 to 1; NaN where the system does not say."""
+    """Share of all cores that was busy during `seconds`, 0 to 1; NaN if the system does not say."""
     first = _processor_times()
     time.sleep(seconds)
     total, idle = (_processor_times() - first).T
@@ -140,6 +140,6 @@ def table(timings: Sequence[Timing], *, reference: str) -> str:
 
 
 def header() -> str:
-    """Machine and versions, to stand above any number."""
+    """Machine and versions, as a header above the numbers."""
     packages = ", ".join(f"{name} {version}" for name, version in versions().items())
     return f"{machine()}; {pin_to_one_core()}; one BLAS thread\n{packages}"

@@ -1,9 +1,9 @@
-"""Whether a viewer disturbs the robot: the ticks of live runs that are watched well, badly and not.
+"""Effect of a viewer on the robot: ticks of live runs with a good viewer, a bad one and none.
 
-The same balance over the same link, again and again: nobody watches; the view is recorded and
-served to a browser; the viewer comes to run only now and then, is stopped for good, or is killed.
-The robot's ticks are those of its telemetry: what a tick computes, how late it begins, how many
-overran. A browser or a window is not opened: what it takes is its machine's affair.
+The same balance runs over the same link, again and again. There is no viewer; the view is recorded
+and served to a browser; or the viewer runs only now and then, is stopped for good, or is killed.
+The robot's ticks come from its telemetry: the computing time of a tick, how late it begins, and the
+number of overruns. No browser or window is opened: its load belongs to its own machine.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from shared.telemetry.parquet import read_parquet
 _NETWORK = "constant:20ms"
 # After everything is ready [s]: by then the robot has begun.
 _UNDISTURBED = 2.0
-# Ticks of the first second are left out: whatever is used for the first time takes longer [ns].
+# Ticks of the first second are left out: code takes longer at its first use [ns].
 _WARM_UP_NS = 1_000_000_000
 _START_SECONDS = 120.0
 # Besides what the run lasts: starting, writing files, and ending a viewer that does not answer.
@@ -46,8 +46,10 @@ _FOR_EVER = 1e6
 
 @dataclass(frozen=True)
 class Case:
-    """A way to watch: `view` of `./deploy/up`, and the signals that its viewer gets once it has run
-    for a while, in turn and over again, each with the time until the next [s].
+    """A way to watch: the `view` of `./deploy/up`, and the signals to its viewer.
+
+    The signals begin once the viewer has run for a while. They come in turn and over again, each
+    with the time until the next [s].
     """
 
     name: str
@@ -67,7 +69,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class Ticks:
-    """The ticks of one run: quantiles of what they computed, and of how late they began [ms]."""
+    """The ticks of one run: quantiles of the computing time and of the late beginning [ms]."""
 
     p50: float
     p99: float
@@ -77,7 +79,7 @@ class Ticks:
 
 
 def run(*, seconds: float, repetitions: int) -> str:
-    """Play every case `repetitions` times for so long, in turn; the table as text."""
+    """Play every case `repetitions` times for `seconds`, in turn. Return the table as text."""
     busy = cores_busy(seconds=2.0)
     played: dict[Case, list[Ticks]] = {case: [] for case in CASES}
     for _ in range(repetitions):
@@ -97,8 +99,10 @@ def run(*, seconds: float, repetitions: int) -> str:
 
 
 def play(case: Case, *, seconds: float) -> Ticks:
-    """A run of the live stack; `LinkError` if it does not come to its end with a robot that stands,
-    or has no viewer to disturb.
+    """Play a run of the live stack.
+
+    Raise `LinkError` if it does not come to its end with a robot that stands, or has no viewer to
+    disturb.
     """
     with tempfile.TemporaryDirectory(prefix="benchmark-") as name:
         folder = Path(name)
@@ -122,7 +126,7 @@ def disturb(
     *,
     seconds: float,
 ) -> None:
-    """Send a group of processes signals in turn until `up` has ended, at most for so long."""
+    """Send a group of processes signals in turn until `up` has ended, for at most `seconds`."""
     deadline = time.monotonic() + seconds
     for number, pause in itertools.cycle(signals):
         left = deadline - time.monotonic()
@@ -137,7 +141,10 @@ def disturb(
 
 
 def read_ticks(file: Path) -> Ticks:
-    """Of a run's telemetry, without its first second; `ConfigError` if that is all there is."""
+    """Read the ticks of a run's telemetry, without its first second.
+
+    Raise `ConfigError` if the run does not last more than a second.
+    """
     schema, rows = read_parquet(file, columns=("time_ns", "tick_ns", "late_ns", "overruns"))
     rows = in_task(schema, rows)
     first = rows[schema.column(rows, "time_ns") < _WARM_UP_NS]
@@ -153,7 +160,9 @@ def read_ticks(file: Path) -> Ticks:
 
 @contextmanager
 def _up(case: Case, folder: Path, *, seconds: float) -> Iterator[subprocess.Popen[bytes]]:
-    """`./deploy/up` into `folder`/run, its output into `folder`/said; ended with the context."""
+    """Run `./deploy/up` into `folder`/run, with its output in `folder`/said. End it with the
+    context.
+    """
     command = python("-m", "deploy", "up", "--network", _NETWORK, "--controller", "la")
     command += ["--push", "none", "--duration", f"{seconds:g}", "--view", case.view]
     command += ["--out", str(folder / "run")]
@@ -175,7 +184,9 @@ def _up(case: Case, folder: Path, *, seconds: float) -> Iterator[subprocess.Pope
 
 
 def _viewer(up: subprocess.Popen[bytes], folder: Path) -> int:
-    """The viewer's group of processes, once the whole stack is ready; `LinkError` without one."""
+    """Return the viewer's process group, once the whole stack is ready. Raise `LinkError` without
+    one.
+    """
     deadline = time.monotonic() + _START_SECONDS
     while time.monotonic() < deadline and _wait(up, 0.1) is None:
         try:
@@ -185,7 +196,7 @@ def _viewer(up: subprocess.Popen[bytes], folder: Path) -> int:
         if stack.state == READY:
             for service in stack.services:
                 if service.name == VIEWER and service.state == READY:
-                    # A service is the leader of a group of its own.
+                    # A service is the leader of a separate process group.
                     return service.pid
             break
     raise LinkError(f"the run has no viewer to disturb; it said: {_output(folder)}")
@@ -198,7 +209,7 @@ def _output(folder: Path) -> str:
 
 
 def _wait(up: subprocess.Popen[bytes], seconds: float) -> int | None:
-    """Its exit code, or None if it has not ended within so long."""
+    """Return the exit code, or None if the process has not ended within `seconds`."""
     try:
         return up.wait(timeout=seconds)
     except subprocess.TimeoutExpired:

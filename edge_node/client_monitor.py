@@ -14,7 +14,7 @@ _OTHER = "see docs/wire.md; counted in the report at the end"
 
 
 class ClientMonitor:
-    """What has happened since the last look, in lines for a person; nothing most of the time.
+    """Reports the events since the last look, in lines for a person. Most looks report nothing.
 
     A robot comes with a message after a second of silence and leaves with the next such silence.
     Each reason for refusing is reported once in between.
@@ -26,7 +26,11 @@ class ClientMonitor:
         self._reported: set[str] = set()
 
     def look(self, now_ns: int, *, heard: bool, refused: Mapping[str, int]) -> list[str]:
-        """`heard`: whether messages have come since the last look; `refused` so far, by reason."""
+        """Return the lines to report.
+
+        `heard`: whether messages have come since the last look; `refused`: refusals so far, by
+        reason.
+        """
         if not heard:
             if self._last_heard_ns is None or now_ns - self._last_heard_ns <= _SILENCE_NS:
                 return []

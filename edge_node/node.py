@@ -33,7 +33,7 @@ _STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the edge made of one state: `data` to publish, or None if there was no solution."""
+    """The result of the edge for one state: `data` to publish, or None if there was no solution."""
 
     state_sequence: int
     solution: WholeBodySolution
@@ -69,7 +69,7 @@ class EdgeNode:
         self._last_seen: tuple[int, int] | None = None
 
     def receive(self, data: bytes) -> None:
-        """Take a message in; keep its state if it is valid and newer than what is known."""
+        """Take a message in. Keep its state if it is valid and newer than the last one."""
         try:
             state = self._codec.decode_state(data)
             if self._last_seen is not None:
@@ -83,7 +83,7 @@ class EdgeNode:
         self._newest = state
 
     def step(self) -> Answer | None:
-        """Answer the newest state, once; None if there is none."""
+        """Answer the newest state, once. Return None if there is none."""
         state, self._newest = self._newest, None
         if state is None:
             return None
@@ -92,7 +92,7 @@ class EdgeNode:
         return self._project(state)
 
     def solve(self, state: RobotState) -> tuple[WholeBodySolution, np.ndarray]:
-        """The full QP at a state: its solution and b. Nothing is counted or encoded."""
+        """Solve the full QP at a state. Return its solution and b. Nothing is counted or encoded."""
         return self._controller.solve(state.q, state.v, time_ns=state.time_ns, mode=state.mode)
 
     def _project(self, state: RobotState) -> Answer:

@@ -1,4 +1,4 @@
-"""Where to factorise a robot in motion: at its posture without the noise, and a little ahead."""
+"""The posture at which to factorise a moving robot: without the noise, and a little ahead."""
 
 from __future__ import annotations
 
@@ -36,9 +36,10 @@ class PostureEstimate:
         self._v, self._stamp_ns = v[6:], stamp_ns
 
     def ahead(self, distance: float) -> np.ndarray:
-        """Where the joints will be after so much motion [rad], root of the mean square; (nv − 6,).
+        """Joint positions after a motion of `distance` [rad], root mean square over the joints; (nv
+        − 6,).
 
-        Or sooner, if that is further away than velocities can tell.
+        The positions are less far ahead if velocities cannot tell as far as `distance`.
         """
         speed = math.sqrt(self._v @ self._v / len(self._v))
         seconds = min(distance / speed, _LEAD_SECONDS) if speed > 0.0 else 0.0

@@ -1,8 +1,8 @@
-"""When a locally corrected robot gets a factorisation: when it lacks one or has moved away from it.
+"""Schedule of a locally corrected robot's factorisations: it lacks one, or has moved away from it.
 
-The robot says with every state what it holds, so what was lost, or a robot that has just joined or
-come back, is served without a handshake. When there is nothing to send for a while, an empty answer
-says that the edge is there.
+Each state names the factorisations that the robot holds. The edge therefore replaces a lost one,
+and serves a robot that has just joined or come back, without a handshake. After a while with
+nothing to send, an empty answer says that the edge is there.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class _Sent:
 
 
 class FactorisationRefresh:
-    """Remembers what one robot was sent."""
+    """Remembers the factorisations sent to one robot."""
 
     def __init__(self, config: CorrectionConfig, motion: Motion) -> None:
         self._config = config
@@ -91,7 +91,9 @@ class FactorisationRefresh:
         return mode in needed and distance > self._config.refresh_distance
 
     def _retry_after_ns(self, sent: _Sent) -> float:
-        """Twice as long after every try; longer than the last one took to come and be told."""
+        """Time before the next try [ns]: doubled with every try up to a limit, at least 1.2 round
+        trips.
+        """
         backoff = min(2.0 ** (sent.tries - 1), _MAX_BACKOFF)
         return max(self._config.retry_ns * backoff, 1.2 * self._round_trip_ns)
 

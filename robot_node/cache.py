@@ -28,8 +28,8 @@ from shared.wire.messages import FactorisationMessage, ProjectorMessage
 class CacheEntry:
     """A projector, and the state it was computed from: its tick and the robot's clock then.
 
-    `tau` and `y` are the full solution at that state; None for what was solved on board or for
-    another contact mode than the state's.
+    `tau` and `y` are the full solution at that state. They are None for a projector that was solved
+    on board or for another contact mode than the state's.
     """
 
     timed: TimedProjector
@@ -45,9 +45,11 @@ class CacheEntry:
 
 
 class AnswerCache(ABC):
-    """What is common to all answers: from this session, newer than the last, and asked for.
+    """Base of the caches: takes an answer that is from this session, newer than the last, and asked
+    for.
 
-    `newest_stamp_ns` is when the state was measured that was answered last; −1 before the first.
+    `newest_stamp_ns` is the time of measurement of the state that was answered last; −1 before the
+    first.
     """
 
     def __init__(self, codec: Codec, *, session: int) -> None:
@@ -58,7 +60,10 @@ class AnswerCache(ABC):
         self._newest_sequence = self._newest_sent = -1
 
     def offer(self, data: bytes, *, newest_sent: int) -> bool:
-        """Take a received message if it is good; `newest_sent` is the last state's sequence."""
+        """Take a received message if it is valid. Return whether it was taken.
+
+        `newest_sent` is the sequence of the last state.
+        """
         self._newest_sent = newest_sent
         try:
             message = self._decode(data)
@@ -72,11 +77,11 @@ class AnswerCache(ABC):
 
     @property
     def held_sequences(self) -> tuple[int, ...] | None:
-        """What to tell the edge is here, see `RobotState`."""
+        """Sequences of the held factorisations, to report to the edge; see `RobotState`."""
         return None
 
     def _judge(self, session: int, sequence: int) -> None:
-        """`MessageRefused` if an answer is not wanted."""
+        """Raise `MessageRefused` if an answer is not wanted."""
         if session != self._session:
             raise MessageRefused("session", "answers another start of the robot")
         if sequence <= self._newest_sequence:
@@ -113,7 +118,7 @@ class ProjectorCache(AnswerCache):
             self.keep(entry)
 
     def keep(self, entry: CacheEntry) -> None:
-        """Keep an entry unless one from a newer state is there: the faster answer wins."""
+        """Keep an entry unless the cache has one from a newer state: the faster answer wins."""
         mode = entry.projector.mode
         held = self._entries.get(mode)
         if held is not None:
@@ -124,7 +129,7 @@ class ProjectorCache(AnswerCache):
         self._entries[mode] = entry
 
     def lookup(self, mode: ContactMode, *, time_ns: int) -> CacheEntry | None:
-        """The newest projector of a mode that may be used at a task time, or None."""
+        """Return the newest projector of a mode that may be used at a task time, or None."""
         entry = self._entries.get(mode)
         if entry is None:
             return None
@@ -175,7 +180,7 @@ class FactorisationCache(AnswerCache):
         stamp_ns: int,
         on_board: bool = False,
     ) -> None:
-        """Keep those that are from a newer state; `MessageRefused` if one cannot be used."""
+        """Keep the factorisations from a newer state. Raise `MessageRefused` if one cannot be used."""
         try:
             correctors = [
                 Corrector(self._stacks[each.mode], each, level=self._level)
@@ -190,5 +195,5 @@ class FactorisationCache(AnswerCache):
                 self._entries[mode] = CorrectorEntry(corrector, sequence, stamp_ns, on_board)
 
     def lookup(self, mode: ContactMode) -> CorrectorEntry | None:
-        """The newest factorisation of a mode, or None."""
+        """Return the newest factorisation of a mode, or None."""
         return self._entries.get(mode)

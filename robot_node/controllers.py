@@ -1,4 +1,4 @@
-"""The local controllers: what the robot does with the newest answer it has.
+"""The local controllers: the robot's use of the newest answer it has.
 
 PR (purely remote) applies the torque of the answer as it came. LA (locally assisted) applies the
 answer's projector to a fresh b, Eq. (4), and recovers the torque with fresh dynamics. LC (locally
@@ -30,13 +30,15 @@ from shared.wire.codec import Codec
 
 @dataclass(slots=True)
 class Decision:
-    """What a controller commands: joint torques `tau` (nv − 6,) [N m] and the solution `y` (n,) of
-    contact mode `mode` they stand for, with its `active_set` as a bit mask. `source` is what it is
-    called if its answer is not to this very state.
+    """The decision of a controller: joint torques, and the solution behind them.
 
-    It rests on the answer to the state `sequence`, measured at `stamp_ns`. `contraction` estimates
-    by how much a correction shrinks the error, `staleness` is the largest joint distance [rad]
-    from where the answer was computed; NaN where there is no such thing.
+    `tau` (nv − 6,) [N m] are the torques. `y` (n,) is the solution in contact mode `mode`, with its
+    `active_set` as a bit mask. `source` is the source of the command if the answer is not to this
+    very state.
+
+    The decision rests on the answer to the state `sequence`, measured at `stamp_ns`. `contraction`
+    is the estimated ratio of two successive corrections. `staleness` is the largest joint distance
+    [rad] from the posture at which the answer was computed. Both are NaN where they do not apply.
     """
 
     tau: np.ndarray
@@ -52,9 +54,9 @@ class Decision:
 
 @dataclass(slots=True)
 class Command:
-    """The torque of one tick (nv − 6,) [N m], clamped; the decision behind it, if there is one.
+    """The torque of one tick (nv − 6,) [N m], clamped, and the decision behind it, if there is one.
 
-    `age_ns` is the time since the state was measured that the decision's answer was computed from.
+    `age_ns` is the age of the decision's answer: the time since the measurement of its state.
     """
 
     tau: np.ndarray
@@ -64,9 +66,10 @@ class Command:
 
 
 class Controller(ABC):
-    """From the edge's answers and a fresh measurement to a command.
+    """Makes a command from the edge's answers and a fresh measurement.
 
-    `cache` takes in the answers. `on_board` is the robot's own computer, if it has work for one.
+    `cache` takes in the answers. `on_board` is the robot's own computer, if the controller needs
+    one.
 
     * `every_state_answered`: an answer to each state is expected, so that waiting d* for it may be
       worth it.
@@ -82,23 +85,23 @@ class Controller(ABC):
     on_board: OnBoard | None = None
 
     def should_stop(self) -> bool:
-        """Whether the robot should come to a stand while it can."""
+        """Return whether the robot should come to a stand while it can."""
         return False
 
     def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:  # noqa: B027
-        """First phase of a tick: what can be computed before its answer comes."""
+        """First phase of a tick: compute the terms that do not need the tick's answer."""
 
     @abstractmethod
     def command(self, *, time_ns: int) -> Decision | None:
-        """Second phase, at a task time; None if no answer may be used."""
+        """Second phase, at a task time. Return None if no answer may be used."""
 
 
 @dataclass(frozen=True)
 class ControllerParts:
-    """What a robot has to make its controller from.
+    """The parts from which a robot makes its controller.
 
-    `codec` and `session` are for its cache; `model` and `stacks` are the robot's own, with `model`
-    a workspace that every call overwrites. `start_computer` starts the on-board computer.
+    `codec` and `session` are for its cache. `model` and `stacks` are the robot's own; every call
+    overwrites `model`, a workspace. `start_computer` starts the on-board computer.
     """
 
     config: RunConfig
@@ -114,14 +117,14 @@ MakeController = Callable[[ControllerParts], Controller]
 
 
 def make_controller(parts: ControllerParts) -> Controller:
-    """The controller that `parts.config.controller` names in the table."""
+    """Make the controller that `parts.config.controller` names in the table."""
     module, _, name = CONTROLLERS[parts.config.controller].factory.partition(":")
     factory: MakeController = getattr(importlib.import_module(module), name)
     return factory(parts)
 
 
 class PurelyRemote(Controller):
-    """PR: the last torque received, whatever it was computed for."""
+    """PR: the last torque received, at any state."""
 
     def __init__(self, parts: ControllerParts) -> None:
         self.cache: ProjectorCache = ProjectorCache(parts.codec, session=parts.session)
@@ -136,7 +139,7 @@ class PurelyRemote(Controller):
 class LocallyAssisted(Controller):
     """LA: ŷ = Â† b with the newest projector of the contact mode and the b of this tick.
 
-    In a walk the on-board computer helps it over the contact switches.
+    In a walk the on-board computer supports it at the contact switches.
     """
 
     def __init__(self, parts: ControllerParts) -> None:

@@ -1,8 +1,9 @@
 """LC: the last solution corrected by a stale factorisation; `docs/locally-corrected.md`.
 
 Each tick takes the exact residuals of all rows at the last solution, by the passes that b needs
-anyway; adds what the factorisation makes of them; decides the active set; and recovers the torque
-with fresh dynamics. Now and then a second correction tells how much the first one has left.
+anyway. It adds the product of the factorisation and the residuals, decides the active set, and
+recovers the torque with fresh dynamics. At intervals a second correction shows how much error the
+first one has left.
 """
 
 from __future__ import annotations
@@ -32,17 +33,18 @@ _NEGLIGIBLE = 1e-3
 
 
 class Contraction:
-    """How much of the error a correction leaves: the ratio of two successive ones at one state.
+    """Share of the error that a correction leaves: the ratio of two successive corrections at one
+    state.
 
-    Below 1 corrections converge. Both are from exact residuals at the same state, so that noise and
-    motion, which make the error, do not enter the ratio.
+    Below 1 corrections converge. Both are from exact residuals at the same state. Noise and motion,
+    which cause the error, therefore do not enter the ratio.
     """
 
     def __init__(self) -> None:
         self.estimate = math.nan
 
     def observe(self, first: float, second: float) -> None:
-        """Sizes of a correction and of the next one."""
+        """Take in the sizes of a correction and of the next one."""
         if first < _NEGLIGIBLE:
             return
         ratio = second / first
@@ -53,7 +55,7 @@ class Contraction:
 class LocallyCorrected(Controller):
     """LC: y⁺ = y + K₀ r(y), the friction rows decided anew, from the newest factorisation.
 
-    With a budget for it the on-board computer factorises when corrections leave too much.
+    With a budget for it, the on-board computer factorises when corrections leave too much error.
     """
 
     every_state_answered = False
@@ -87,7 +89,9 @@ class LocallyCorrected(Controller):
 
     @property
     def wants_refresh(self) -> ContactMode | None:
-        """The present contact mode if a factorisation at the present state would help."""
+        """Return the present contact mode if a factorisation at the present state would help, else
+        None.
+        """
         helpful = self._contraction.estimate > self._config.refresh_above
         return self._iterate.mode if helpful else None
 
@@ -157,7 +161,7 @@ class LocallyCorrected(Controller):
         return Source.ON_BOARD if entry.on_board else Source.CORRECTED
 
     def _linearise(self, q: np.ndarray, v: np.ndarray) -> None:
-        """The residuals of all rows at the iterate and the present state."""
+        """Compute the residuals of all rows at the iterate and the present state."""
         self._now = self._stack.kinematics_at(self._iterate.y, model=self._model, q=q, v=v)
         self._residual = self._stack.right_hand_side(self._now, self._reference)
 

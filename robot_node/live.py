@@ -1,7 +1,7 @@
 """The robot against the wall clock: the two phases of the tick on an absolute 1 kHz schedule.
 
-Nothing in the loop prints, writes or waits for anybody: rows go to a background thread, and what
-happens is told by `Narrator`, which looks at the loop ten times a second.
+Nothing in the loop prints, writes or waits for another thread: rows go to a background thread.
+`Narrator` looks at the loop ten times a second and reports its events.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from shared.errors import LinkError
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import Source
 
-# An answer older than this is worth a word: no healthy link is that slow.
+# An answer older than this is reported: no healthy link is that slow.
 STALE_NS = 250_000_000
-# What one on the link overtook is refused as a matter of course.
+# An overtaken message is refused as a matter of course.
 _OVERTAKEN = "stale"
 
 
 @dataclass
 class Progress:
-    """What the loop shows to others, overwritten every tick.
+    """State of the loop for other threads, overwritten every tick.
 
-    `silence_ns` is how old the state is that the edge has answered last.
+    `silence_ns` is the age of the state that the edge has answered last.
     """
 
     time_ns: int = 0
@@ -42,9 +42,9 @@ class Progress:
 class LiveLoop:
     """Runs a robot node in real time.
 
-    Eq. (7) has the robot wait d* for the answer to this tick's state. While the last answer took
-    longer than d* to come, the wait would be in vain, and the command follows at once.
-    `explain` says what is at the endpoint if no answer comes.
+    By Eq. (7) the robot waits d* for the answer to this tick's state. While the last answer took
+    longer than d* to come, the wait would be in vain, and the command follows at once. `explain`
+    describes the endpoint if no answer comes.
     """
 
     def __init__(
@@ -80,9 +80,10 @@ class LiveLoop:
         self._inbox.put(delivery)
 
     def run(self, *, duration_ns: int, stopping: Callable[[], bool]) -> None:
-        """Until the task lasted `duration_ns`, the robot fell, or `stopping()`.
+        """Run until the task has lasted `duration_ns`, the robot has fallen, or `stopping()` is
+        true.
 
-        `LinkError` if no projector arrives within the connect timeout.
+        Raise `LinkError` if no projector arrives within the connect timeout.
         """
         node, clock, config = self._node, self._clock, self._config
         begun_ns = clock.now_ns()
@@ -117,7 +118,7 @@ class LiveLoop:
             if not node.running:
                 self._check_timeout(now_ns - begun_ns)
             elif not was_running:
-                # Overruns while waiting are nobody's; the count begins with the task.
+                # Overruns during the wait do not count; the count begins with the task.
                 task_began_ns, ticker.overruns = ticker.due_ns, 0
             ticker.next(now_ns)
             silence_ns = now_ns - node.cache.newest_stamp_ns
@@ -140,7 +141,7 @@ class LiveLoop:
 
 
 class Narrator:
-    """Says what happens to the robot, from a thread of its own."""
+    """Reports the events of the robot, from a separate thread."""
 
     _PERIOD_SECONDS = 0.1
 

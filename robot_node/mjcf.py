@@ -1,8 +1,8 @@
 """A MuJoCo model generated from the Pinocchio tree, so that both have the same dynamics.
 
-One body per joint with its full inertia, a free joint for the base, hinges and motors for the rest,
-one box per sole, a floor. The URDF itself is not given to MuJoCo: it refuses COLLADA meshes and
-some of the published inertias.
+It has one body per joint with its full inertia, a free joint for the base, hinges and motors for
+the other joints, one box per sole, and a floor. MuJoCo does not read the URDF itself, because it
+refuses COLLADA meshes and some of the published inertias.
 """
 
 from __future__ import annotations

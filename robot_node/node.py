@@ -1,12 +1,12 @@
 """The robot's tick, in two phases.
 
-`measure` senses and returns the state to send; `command`, d* later, takes what has arrived and
-produces the torque of this tick by Eq. (7): the answer to *this* state if it is here, else the
-newest one in the cache, else the joints are held. `advance` then ends the tick and moves the
-simulated robot. `robot_node/tick.py` drives them.
+`measure` senses and returns the state to send. `command`, d* later, produces the torque of this
+tick by Eq. (7) from the messages that have arrived. It uses the answer to *this* state if it is
+here, else the newest answer in the cache, else the joint hold. `advance` then ends the tick and
+moves the simulated robot. `robot_node/tick.py` drives them.
 
-Time of the task begins when the first answer arrives; until then the robot stands still and sends.
-A tick never raises: what goes wrong is counted and named.
+The task time begins when the first answer arrives. Until then the robot stands still and sends. A
+tick never raises: errors are counted by name.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class RobotNode:
         )
 
     def receive(self, data: bytes) -> bool:
-        """Offer a message from the edge to the cache; whether it was taken."""
+        """Offer a message from the edge to the cache. Return whether it was taken."""
         return self.cache.offer(data, newest_sent=self.tick)
 
     def command(self, now_ns: int) -> Command:
@@ -141,7 +141,7 @@ class RobotNode:
         return Command(self._bounded(safe, source), source, age_ns, decision)
 
     def advance(self, command: Command, row: np.ndarray | None = None) -> None:
-        """End the tick: whether the robot has fallen, the telemetry row, and the plant's step.
+        """End the tick: check for a fall, fill the telemetry row, and step the plant.
 
         Before the first answer the plant stands still. `row` is filled if it is given.
         """
@@ -193,15 +193,18 @@ class RobotNode:
         )
 
     def _stop_walking(self) -> None:
-        """End a walk with the step that follows this one; once, and if there is one to end."""
+        """End a walk with the step that follows this one. Do so once, and only if there is a walk
+        to end.
+        """
         if not self._stopping:
             before, self._motion = self._motion, self._motion.stopped(self.time_ns)
             self._stopping = self._motion is not before
 
     def _bounded(self, tau: np.ndarray, source: Source) -> np.ndarray:
-        """The torque, without a jump to another rung of the ladder if the controller wants none.
+        """Return the torque, without a jump to another rung of the ladder if the controller wants
+        none.
 
-        Fresh, corrected and on-board answers are one rung: they meet in the same solution.
+        Fresh, corrected and on-board answers are one rung, because they meet in the same solution.
         """
         if not (self.running and self.controller.bounds_torque_steps):
             return tau

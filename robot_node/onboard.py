@@ -1,10 +1,10 @@
 """The robot's own computer: full QPs around a contact switch (Sec. III-C), or factorisations.
 
-For LA: in a window centred on each planned switch it solves the QP of the present contact mode
-every few milliseconds, and once, shortly before the switch, that of the coming one. For LC: the
-present contact mode is factorised when corrections shrink the error too little. It is slow: a
-solution is ready a while after the state it was computed from. Its answers compete with the edge's
-in the cache, and the newer state wins.
+For LA it works in a window centred on each planned switch. There it solves the QP of the present
+contact mode every few milliseconds and, once, shortly before the switch, the QP of the coming mode.
+For LC it factorises the present contact mode when corrections shrink the error too little. The
+computer is slow: a solution is ready a while after the state it was computed from. Its answers
+compete with the edge's in the cache, and the newer state wins.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from shared.wbc.correction import Factorisation
 from shared.wbc.reference import Motion, coming_switches
 from shared.wbc.whole_body import TimedProjector, WholeBodyController
 
-# What an on-board computer computes at (q, v) for a target.
+# The computation of an on-board computer at (q, v) for a target.
 Solve = Callable[[np.ndarray, np.ndarray, int], Any]
 # Makes it, wherever the computer is: in a process of its own it is named by its module.
 MakeSolve = Callable[[Robot, RunConfig, Motion], Solve]
@@ -58,24 +58,24 @@ class OnBoardComputer(Protocol):
         ...
 
     def finished(self, now_ns: int) -> bool:
-        """Whether the solution begun last is ready."""
+        """Return whether the solution begun last is ready."""
         ...
 
     def take(self) -> Any:
-        """That solution; None if there is none."""
+        """Return that solution, or None if there is none."""
         ...
 
     def close(self) -> None:
-        """End it."""
+        """End the computer."""
         ...
 
 
-# Starts a computer for what is to be solved.
+# Starts a computer for a problem.
 StartComputer = Callable[[MakeSolve], OnBoardComputer]
 
 
 class ModelledComputer:
-    """Solves at once and calls it ready `ready_after_ns` of task time later: repeatable."""
+    """Solves at once, and gives the solution out `ready_after_ns` of task time later: repeatable."""
 
     def __init__(self, solve: Solve, *, ready_after_ns: int) -> None:
         self._solve = solve
@@ -98,7 +98,7 @@ class ModelledComputer:
 
 
 class OnBoard(Protocol):
-    """When the robot's own computer works, and what becomes of its answers."""
+    """Schedule of the robot's own computer. It puts the answers into the cache."""
 
     @property
     def solves(self) -> int:
@@ -108,7 +108,7 @@ class OnBoard(Protocol):
     def tick(
         self, q: np.ndarray, v: np.ndarray, *, time_ns: int, sequence: int, stamp_ns: int
     ) -> None:
-        """Put into the cache what has become ready; start what is due from the state (q, v)."""
+        """Put ready answers into the cache. Start the problem that is due from the state (q, v)."""
         ...
 
     def close(self) -> None:
@@ -117,7 +117,7 @@ class OnBoard(Protocol):
 
 
 class OnBoardWindow:
-    """Decides what to solve when, and hands it over when it is ready."""
+    """Decides which QP to solve when, and puts the projector into the cache when it is ready."""
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ class OnBoardWindow:
             self._cache.keep(CacheEntry(timed, sequence, stamp_ns, on_board=True))
 
     def _due(self, time_ns: int) -> int | None:
-        """The task time to solve for now: a coming switch, this moment, or None."""
+        """Return the task time to solve for now: a coming switch, the present, or None."""
         if time_ns < self._idle_until_ns:
             return None
         config = self._config
@@ -184,10 +184,10 @@ class OnBoardWindow:
         return time_ns
 
     def _next_preparation(self, switches: list[int]) -> tuple[int, int] | None:
-        """The first switch that is not prepared, and when to begin with it.
+        """Return the first switch that is not prepared, and when to begin with it.
 
-        One after the other, each ready in time: two switches that follow each other sooner than one
-        preparation takes make the first begin earlier.
+        Preparations run one after the other, each ready in time. If two switches are closer than
+        one preparation takes, the first preparation begins earlier.
         """
         waiting = [switch_ns for switch_ns in switches if switch_ns > self._prepared_for_ns]
         begin_ns = 2**62
@@ -249,6 +249,6 @@ class OnBoardRefresh:
     def _keep(
         self, factorisations: tuple[Factorisation, ...], sequence: int, stamp_ns: int
     ) -> None:
-        # One that cannot be used is as good as none.
+        # An unusable factorisation counts as none.
         with contextlib.suppress(MessageRefused):
             self._cache.keep(factorisations, sequence=sequence, stamp_ns=stamp_ns, on_board=True)

@@ -1,6 +1,6 @@
 """The robot simulated in MuJoCo: the only file that calls it, and the only one that converts to it.
 
-MuJoCo's free joint has its linear velocity in the world frame and its quaternion scalar-first;
+MuJoCo's free joint has its linear velocity in the world frame and its quaternion scalar-first.
 Pinocchio's has the velocity in the base frame and the quaternion scalar-last.
 """
 
@@ -18,7 +18,7 @@ from shared.robots import Robot
 
 
 class Plant(Protocol):
-    """A robot whose state is known and that can be moved on by one timestep."""
+    """A robot with a known state that advances by one timestep at a call."""
 
     def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
         """Put the robot at (q, v)."""
@@ -27,7 +27,8 @@ class Plant(Protocol):
         """True (q, v), shapes (nq,) and (nv,), in Pinocchio's convention."""
 
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
-        """One timestep under joint torques (nv − 6,) [N m] and a force on the base [N], world.
+        """Advance one timestep under joint torques (nv − 6,) [N m] and a force on the base [N],
+        world.
 
         The force acts at the centre of mass of the base body.
         """
@@ -58,14 +59,16 @@ class MujocoPlant:
         return from_mujoco(self._qpos, self._qvel)
 
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
-        """One timestep under joint torques and a push, as in `Plant`."""
+        """Advance one timestep under joint torques and a push, as in `Plant`."""
         self._ctrl[:] = tau
         self._force_on_base[:] = push
         mujoco.mj_step(self.model, self.data)
 
 
 def _ignore_warning(message: str) -> None:
-    """Instability shows in the state; MuJoCo would write its warning to a file."""
+    """Ignore a warning: instability shows in the state, and MuJoCo would write the warning to a
+    file.
+    """
 
 
 def to_mujoco(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,8 +14,8 @@ import pinocchio as pin
 from shared.robots import Foot, Robot
 from shared.robots.description import sole_frame_name
 
-# What integration lets a sole drift is pulled back as by a critically damped spring (Baumgarte) of
-# this time constant [s]: J_c a + J̇_c v = −2/T ė − e/T², zero on the weld itself.
+# The drift of a sole from integration is pulled back as by a critically damped spring (Baumgarte)
+# of this time constant [s]: J_c a + J̇_c v = −2/T ė − e/T², zero on the weld itself.
 WELD_TIME_CONSTANT = 0.005
 
 # Two stretched legs make the rows of J_c dependent: forces are then the limit of regularised ones.
@@ -37,7 +37,7 @@ class RigidPlant:
         self.set_state(robot.q_standing, np.zeros(robot.model.nv))
 
     def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
-        """Put the robot at (q, v) and weld its soles where they then are.
+        """Put the robot at (q, v) and weld its soles at their placements in that state.
 
         A velocity of the soles is damped out, as drift is.
         """
@@ -56,7 +56,7 @@ class RigidPlant:
         return self._q.copy(), self._v.copy()
 
     def acceleration(self, tau: np.ndarray, *, push: np.ndarray) -> np.ndarray:
-        """a (nv,) of Eq. (1) under joint torques (nv − 6,) [N m] and a push, as in `Plant`."""
+        """Return a (nv,) of Eq. (1) under joint torques (nv − 6,) [N m] and a push, as in `Plant`."""
         force = np.empty(self._model.nv)
         force[:3] = pin.Quaternion(self._q[3:7]).toRotationMatrix().T @ push
         force[3:6] = np.cross(self._lever, force[:3])
@@ -74,7 +74,7 @@ class RigidPlant:
         return a
 
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
-        """One timestep under joint torques and a push, as in `Plant`."""
+        """Advance one timestep under joint torques and a push, as in `Plant`."""
         self._v = self._v + self._timestep * self.acceleration(tau, push=push)
         self._q = pin.integrate(self._model, self._q, self._timestep * self._v)
 

@@ -1,4 +1,4 @@
-"""What stands between a computed torque and the actuators, and what the robot does without one."""
+"""The guards between a computed torque and the actuators, and the joint hold without a torque."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class TorqueGuard:
 class TorqueRateLimiter:
     """Bounds the torque step when the robot changes the rung of its ladder.
 
-    From there on each joint moves by at most a tenth of its limit per tick, until it has caught up
-    with what is commanded.
+    From there on each joint torque moves by at most a tenth of its limit per tick, until it has
+    caught up with the command.
     """
 
     _STEP = 0.1
@@ -61,11 +61,11 @@ class TorqueRateLimiter:
 
 
 class JointHold:
-    """Holds the joints where they were when it was entered, around the torque applied then.
+    """Holds the joints at their positions on entry, around the torque applied then.
 
-    The last resort of a robot without a usable projector: it stays upright as a statue does, and
-    resists as far as stiff joints can. Posture and torque are averaged over the last ticks, so that
-    what is held is not one noisy measurement.
+    It is the last resort of a robot without a usable projector: the robot stays upright as a statue
+    does, and resists as far as stiff joints can. Posture and torque are averaged over the last
+    ticks, so that the held posture is not one noisy measurement.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -76,7 +76,7 @@ class JointHold:
         self._posture, self._torque = self._average
 
     def observe(self, q: np.ndarray, tau: np.ndarray) -> None:
-        """A tick under normal control at measured q with torque tau: what would be held."""
+        """Take in a tick under normal control, at measured q with torque tau, into the averages."""
         self._newest[0] = q[7:]
         self._newest[1] = tau
         self._average += _HOLD_AVERAGE * (self._newest - self._average)
@@ -90,7 +90,7 @@ class JointHold:
 
 
 def has_fallen(q: np.ndarray, *, com_height: float, standing_com_height: float) -> bool:
-    """Whether a robot at the true configuration q counts as fallen."""
+    """Return whether the robot at the true configuration q has fallen."""
     x, y = q[3:5].tolist()
     # The vertical in the base frame, of which this is the vertical part, from the quaternion.
     upright = 1.0 - 2.0 * (x * x + y * y) > math.cos(FALLEN_TILT)

@@ -1,7 +1,7 @@
 """Drives a robot node through its ticks: live, in lockstep and in tests alike.
 
-`begin` is the first phase of Eq. (7), `end` the second, d* later: whoever drives decides when each
-is due, and what has arrived in between.
+`begin` is the first phase of Eq. (7), `end` the second, d* later. The driver decides when each is
+due, and collects the messages that have arrived in between.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from robot_node.node import RobotNode
 
 
 class Tick:
-    """The tick of one robot, again and again. `next_row` gives the row of each; none without it."""
+    """The tick of one robot, again and again. `next_row` gives the row of each tick; without it
+    there are no rows.
+    """
 
     def __init__(self, node: RobotNode, next_row: Callable[[], np.ndarray] | None = None) -> None:
         self._node = node
@@ -24,7 +26,7 @@ class Tick:
         self._cost_ns = 0
 
     def begin(self, now_ns: int) -> bytes:
-        """Sense; the state message to send."""
+        """Sense. Return the state message to send."""
         began_ns = time.perf_counter_ns()
         message = self._node.measure(now_ns)
         self._cost_ns = time.perf_counter_ns() - began_ns
@@ -39,9 +41,10 @@ class Tick:
         overruns: int = 0,
         sending_ns: int = 0,
     ) -> tuple[Command, bool]:
-        """Take in what has arrived, command, record, move; the command, and whether an answer was
-        taken. `late_ns` and `overruns` are those of the driver's schedule, `sending_ns` is what
-        sending the state took.
+        """Take in the arrived messages, command, record, move.
+
+        Return the command, and whether an answer was taken. `late_ns` and `overruns` are those of
+        the driver's schedule. `sending_ns` is the time that sending the state took.
         """
         node = self._node
         began_ns = time.perf_counter_ns()

@@ -1,4 +1,4 @@
-"""The telemetry row of one tick: what the robot truly did, beside what it was told to do."""
+"""The telemetry row of one tick: the true motion of the robot beside its command."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Moment:
 
     `time_ns` is that of the task, −1 before it begins; `wall_ns` that of the measurement. `q`, `v`
     is the true state, `com` and `soles` its centre of mass and sole positions in the world [m];
-    `measured` what the sensors made of it. `push` is the external force on the base [N].
+    `measured` is the state from the sensors. `push` is the external force on the base [N].
     """
 
     tick: int
@@ -54,7 +54,7 @@ class TickRow:
         self._set_down: list[tuple[float, float] | None] = [None for _ in Foot]
 
     def fill(self, row: np.ndarray, moment: Moment, command: Command) -> None:
-        """Everything but the times that the driver of the tick measures."""
+        """Fill all columns but the times that the driver of the tick measures."""
         reference, decision = moment.reference, command.decision
         error = moment.com - reference.com
         forces = (self._unloaded, self._unloaded)
@@ -85,7 +85,7 @@ class TickRow:
         row[self._refused] = moment.refused
 
     def _forces(self, decision: Decision) -> tuple[np.ndarray, np.ndarray]:
-        """Those of the left and of the right sole."""
+        """Forces of the left and of the right sole."""
         f = decision.y[self._model.nv :]
         if decision.mode is ContactMode.LEFT_SUPPORT:
             return f, self._unloaded

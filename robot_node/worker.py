@@ -1,7 +1,7 @@
-"""The on-board computer of a live run: a process of its own beside the 1 kHz loop.
+"""The on-board computer of a live run: a separate process beside the 1 kHz loop.
 
-A process and not a thread: a QP is mostly Python and small matrices, which would hold the
-interpreter while the control loop needs it. It is started before the loop; jobs and answers go
+It is a process and not a thread: a QP is mostly Python and small matrices, which would hold the
+interpreter while the control loop needs it. It is started before the loop. Jobs and answers go
 through a pipe. It plays a slow computer: after a job it waits until the job's processor time, times
 `switch.compute_time_scale`, has passed.
 """
@@ -19,14 +19,14 @@ from robot_node.onboard import MakeSolve
 from shared.config.settings import RunConfig
 from shared.errors import LinkError
 
-# As a service is given: it loads as much as one.
+# The same as for a service: the worker loads as much as one.
 _START_SECONDS = 60.0
-# Between the shim and the edge: it is a computer of the robot's, but its work is not a tick's.
+# Between the shim and the edge: it is the robot's computer, but its work is not a tick's.
 _PRIORITY = 15
 
 
 class WorkerComputer:
-    """An `OnBoardComputer` in a process. `LinkError` if it does not start."""
+    """An `OnBoardComputer` in a process. Raises `LinkError` if it does not start."""
 
     def __init__(self, config: RunConfig, make_solve: MakeSolve) -> None:
         context = multiprocessing.get_context("spawn")

@@ -26,9 +26,9 @@ _OWN_MS = 0.1
 
 @contextlib.contextmanager
 def machines_on_long_cable(*, rate: str, round_trip_ms: float) -> Iterator[Machines]:
-    """Two machines joined at `rate`, as `tc` writes it (100mbit); gone afterwards.
+    """Two machines joined at `rate`, in the notation of `tc` (100mbit); removed afterwards.
 
-    `LinkError` says why they cannot be had.
+    `LinkError` gives the reason if they cannot be made.
     """
     machines = name_machines()
     names = ("--robot-ns", machines.robot.namespace, "--edge-ns", machines.edge.namespace)
@@ -54,7 +54,7 @@ def machines_on_long_cable(*, rate: str, round_trip_ms: float) -> Iterator[Machi
 
 
 def bytes_per_ms(rate: str) -> float:
-    """What `tc` means by a rate."""
+    """Convert a rate in the notation of `tc` to bytes per ms."""
     match = _RATE.fullmatch(rate)
     if match is None or int(match[1]) == 0:
         raise ConfigError(f"rate: expected 100mbit, with kbit, mbit or gbit, got {rate!r}")
@@ -62,7 +62,9 @@ def bytes_per_ms(rate: str) -> float:
 
 
 def cable_options(folder: Path, *, carried: float, one_way_ms: float) -> tuple[str, ...]:
-    """Files of a link that has `carried` bytes per ms each way; the options that name them."""
+    """Write the files of a link that carries `carried` bytes per ms each way. Return the options
+    that name them.
+    """
     profile, config = folder / "cable.csv", folder / "cable.toml"
     delay_ms = one_way_ms + _OWN_MS
     profile.write_text(
@@ -70,7 +72,7 @@ def cable_options(folder: Path, *, carried: float, one_way_ms: float) -> tuple[s
         f"{delay_ms},{delay_ms},{carried},{carried}\n",
         encoding="utf-8",
     )
-    # What is on the cable itself counts as well.
+    # The bytes on the cable itself count as well.
     held_ms = one_way_ms + QUEUE_MS
     config.write_text(f"[link]\nqueue_bytes = {round(carried * held_ms)}\n", encoding="utf-8")
     return f"capacity:{profile}", "--config", str(config)

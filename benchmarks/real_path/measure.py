@@ -1,7 +1,7 @@
 """Measure a real path on one machine: robot and edge in two namespaces, a slow cable in between.
 
-For each rate, round trip, protocol and send buffer a run of its own; prints a table of how old
-projectors are when they are used, and how many the link did not take. As root.
+Each rate, round trip, protocol and send buffer has a separate run. The table shows the age of the
+projectors at their use, and how many the link did not take. As root.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _READY_SECONDS, _STOP_SECONDS = 60.0, 30.0
 
 
 def add_real_path_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `run_real_path`."""
+    """Add the options of `run_real_path`."""
     parser.add_argument("--rate", nargs="+", default=["100mbit", "300mbit"], help="as tc writes it")
     parser.add_argument(
         "--round-trip",
@@ -57,7 +57,7 @@ def add_real_path_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_real_path(arguments: argparse.Namespace) -> int:
-    """A row of the table for each case, as it is measured."""
+    """Print a row of the table for each case, as it is measured."""
     # A termination leaves nothing behind either.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     found = versions()

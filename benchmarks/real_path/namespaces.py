@@ -19,7 +19,7 @@ from shared.errors import UserError
 _SECONDS = 10.0
 _PREFIX = "wbc-"
 _DEVICE = "cable"
-# What the cable holds back beyond its rate before it drops, as a modem's buffer does.
+# The buffer of the cable beyond its rate before it drops, like a modem's.
 QUEUE_MS = 50
 
 
@@ -31,7 +31,7 @@ class Machine:
     address: str
 
     def command(self, *arguments: str) -> list[str]:
-        """A command line that runs `arguments` there."""
+        """Return a command line that runs `arguments` in the namespace."""
         return ["ip", "netns", "exec", self.namespace, *arguments]
 
 
@@ -45,10 +45,10 @@ class Machines:
 
 @contextlib.contextmanager
 def two_machines(*, rate: str) -> Iterator[Machines]:
-    """Two machines joined at `rate`, as `tc` writes it (100mbit); gone afterwards.
+    """Two machines joined at `rate`, in the notation of `tc` (100mbit); removed afterwards.
 
-    `UserError` says why they cannot be had. Their names hold the pid, so that several may run at a
-    time, and what a killed process has left is removed by the next.
+    `UserError` gives the reason if they cannot be made. Their names hold the pid, so that several
+    pairs may run at a time. A later call removes the machines of a killed process.
     """
     for tool in ("ip", "tc"):
         if shutil.which(tool) is None:
@@ -72,7 +72,7 @@ def two_machines(*, rate: str) -> Iterator[Machines]:
 
 
 def name_machines() -> Machines:
-    """Two machines that only this process has, yet to be made. Those of killed ones are removed."""
+    """Name two machines of this process, yet to be made. Remove the machines of killed processes."""
     _remove_leftovers()
     return Machines(
         robot=Machine(f"{_PREFIX}robot-{os.getpid()}", "10.77.0.1"),

@@ -1,1 +1,1 @@
-"""Where the robot should be, as a function of time: pure, the same at both ends of the link."""
+"""The reference of the robot as a function of time: pure, the same at both ends of the link."""

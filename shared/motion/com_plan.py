@@ -5,7 +5,7 @@ sequence of segments on which the ZMP moves linearly; on each the motion has a c
 
     c(t) = p(t) + A e^{ωt} + B e^{−ωt}.
 
-`dcm_plan` places the ZMP under the support foot and in between during double support, and finds the
+`dcm_plan` places the ZMP under the support foot, and in between during double support. It finds the
 one motion that does not diverge by running the capture point ξ = c + ċ/ω backwards from rest
 (Englsberger, Ott & Albu-Schäffer 2015).
 """
@@ -114,8 +114,10 @@ class ComPlan:
         decaying: np.ndarray,
         height: float,
     ) -> np.ndarray:
-        """(4, 9): what 1, t, e^{ωt} from the segment's end and e^{−ωt} from its beginning are
-        multiplied by, and summed, for position, velocity and acceleration (3,) each.
+        """Coefficients (4, 9) of position, velocity and acceleration (3,) each.
+
+        The rows multiply 1, t, e^{ωt} from the segment's end and e^{−ωt} from its beginning. The
+        products are summed.
         """
         omega = self.omega
         table = np.zeros((4, 3, 3))

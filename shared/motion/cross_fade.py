@@ -1,4 +1,4 @@
-"""From one motion to another that has the same contacts for a while, without a jump."""
+"""Transition from one motion to another that has the same contacts for a while, without a jump."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Where the feet go: a sequence of footprints from a few numbers, checked before anything moves.
+"""Footstep plan: a sequence of footprints from a few numbers, checked before anything moves.
 
 The path advances by (length, sideways, turn) in its own frame with every step but the last, which
-brings the feet together again. The foot that leads is the one on the side the path goes to.
+brings the feet together again. The leading foot is the one on the side that the path goes to.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Step:
 
 
 def standing_footprints(robot: Robot) -> dict[Foot, Footprint]:
-    """Where the soles are in the standing configuration."""
+    """Footprints of the soles in the standing configuration."""
     placements = WholeBodyModel(robot).sole_placements(robot.q_standing)
     return {
         foot: Footprint(foot, float(M.translation[0]), float(M.translation[1]), 0.0)
@@ -49,7 +49,7 @@ def standing_footprints(robot: Robot) -> dict[Foot, Footprint]:
 
 
 def plan_footsteps(robot: Robot, config: WalkConfig) -> tuple[Step, ...]:
-    """The steps of a walk. `ConfigError` with the reason if it cannot be walked."""
+    """Plan the steps of a walk. Raise `ConfigError` with the reason if it cannot be walked."""
     feet = standing_footprints(robot)
     left, right = feet[Foot.LEFT], feet[Foot.RIGHT]
     width = config.step_width or left.y - right.y
@@ -75,7 +75,9 @@ def plan_footsteps(robot: Robot, config: WalkConfig) -> tuple[Step, ...]:
 
 
 def _check(robot: Robot, step: Step, *, number: int) -> None:
-    """A step that leaves the leg's reach, crosses the feet or turns too far is refused."""
+    """Check that a step stays within the leg's reach, does not cross the feet and does not turn too
+    far.
+    """
     support, goal = step.support, step.goal
     dx, dy = goal.position - support.position
     c, s = math.cos(support.yaw), math.sin(support.yaw)
@@ -108,7 +110,9 @@ def _check(robot: Robot, step: Step, *, number: int) -> None:
 
 
 def leg_reach(robot: Robot) -> float:
-    """How far a foot can be from below its hip with the hip at standing height [m]."""
+    """Greatest horizontal distance of a foot from below its hip, with the hip at standing height
+    [m].
+    """
     model = robot.model
     data = model.createData()
     pin.forwardKinematics(model, data, robot.q_standing)

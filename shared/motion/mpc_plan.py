@@ -2,15 +2,15 @@
 
 The alternative to `dcm_plan`, after Herdt et al. 2010 ("Online walking motion generation with
 automatic footstep placement", Advanced Robotics 24) and Wieber 2006. From every sample time a
-horizon of `PREVIEW` is optimised and its first interval is walked. Over the samples of a horizon,
-Δ apart,
+horizon of `PREVIEW` is optimised and its first interval is walked. Over the samples of a horizon, Δ
+apart,
 
-    minimise    Σ Δ (α ‖c⃛‖² + β ‖ċ − ċ_ref‖² + γ ‖p − p_ref‖²),    c̈ = ω² (c − p)
-    subject to  p inside the support polygon, shrunk by `MARGIN`
-                ξ = c + ċ/ω inside it at the end of the horizon
+    minimise    Σ Δ (α ‖c⃛‖² + β ‖ċ − ċ_ref‖² + γ ‖p − p_ref‖²),    c̈ = ω² (c − p);
+    subject to  p inside the support polygon, shrunk by `MARGIN`;
+                ξ = c + ċ/ω inside it at the end of the horizon;
                 c = ξ = p between the feet if the horizon reaches the end of the walk.
 
-What differs from Herdt, and why:
+Differences from Herdt, and their reasons:
 
 - The unknowns are the ZMP at the samples, linear in between; his jerk is constant between samples
   100 ms apart. So the ZMP is inside the support at every instant, not at samples only: a support
@@ -19,8 +19,8 @@ What differs from Herdt, and why:
   the feet; here the ZMP's part leads, and velocity and jerk shape the motion between the feet.
 - He has no constraint at the end of the horizon. The one on ξ keeps the motion bounded by itself.
 
-The capture point ξ runs away from the ZMP, η = c − ċ/ω runs after it: the pendulum is ẋ = λ (x − p)
-for x = ξ with λ = ω and for x = η with λ = −ω, in each of the plane's two directions.
+The capture point ξ runs away from the ZMP, and η = c − ċ/ω runs after it. In each of the plane's
+two directions the pendulum is ẋ = λ (x − p). For x = ξ it has λ = ω, and for x = η λ = −ω.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ JERK_WEIGHT = 1e-8
 
 @dataclass(frozen=True)
 class SupportPhase:
-    """A span of time [s] on the same soles, and what is wanted of the CoM in it.
+    """A span of time [s] on the same soles, with the targets of the CoM in it.
 
-    `corners` (k, 2) of the loaded soles in the world [m]; `zmp` (2,) where the ZMP should be at the
-    end, having gone there on a line from the phase before [m]; `velocity` (2,) mean velocity of
+    `corners` (k, 2) of the loaded soles in the world [m]; `zmp` (2,) target of the ZMP at the end,
+    reached on a line from the target of the phase before [m]; `velocity` (2,) mean velocity of
     walking, without sway [m/s].
     """
 
@@ -68,9 +68,9 @@ class SupportPhase:
 
 
 def mpc_plan(phases: Sequence[SupportPhase], *, omega: float, position: np.ndarray) -> ComPlan:
-    """Motion from rest at `position` (2,) to rest at the last phase's `zmp`.
+    """Plan the motion from rest at `position` (2,) to rest at the last phase's `zmp`.
 
-    `ConfigError` if at some time no motion keeps the ZMP inside the support.
+    Raise `ConfigError` if at some time no motion keeps the ZMP inside the support.
     """
     samples = _samples(phases, position)
     times = [phases[0].begin, *(sample.time for sample in samples)]
@@ -233,8 +233,8 @@ def _response(
     """Solution of ẋ = rate (x − p) at the samples: x = free + map P.
 
     Returns map (N, N), lower triangular, and free (N, 2), the part of the `state` and `zmp` (2,) at
-    the beginning. In an interval Δ with p linear from p₀ to p₁, x₁ = e x₀ + b₀ p₀ + b₁ p₁ with
-    e = e^{rate Δ}, b₁ = 1 − (e − 1)/(rate Δ) and b₀ = 1 − e − b₁.
+    the beginning. In an interval Δ with p linear from p₀ to p₁, x₁ = e x₀ + b₀ p₀ + b₁ p₁. Its
+    coefficients are e = e^{rate Δ}, b₁ = 1 − (e − 1)/(rate Δ) and b₀ = 1 − e − b₁.
     """
     factor = np.exp(rate * durations)
     after = 1.0 - np.expm1(rate * durations) / (rate * durations)

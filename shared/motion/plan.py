@@ -14,7 +14,10 @@ MakeMotion = Callable[[Robot, RunConfig], Motion]
 
 
 def make_motion(robot: Robot, config: RunConfig) -> Motion:
-    """What both ends of the link derive the reference from; `ConfigError` if it cannot be done."""
+    """Make the motion from which both ends of the link derive the reference.
+
+    Raise `ConfigError` if the motion is not possible.
+    """
     if config.task == "walk":
         return Walking(robot, config.walk)
     return Standing(robot)

@@ -92,7 +92,9 @@ class Walking:
         return self.phases[k].end_ns if k + 1 < len(self.phases) else None
 
     def stopped(self, time_ns: int) -> Motion:
-        """With the step under way finished, and one more that brings the feet together."""
+        """Return the motion that finishes the step under way, and one more that brings the feet
+        together.
+        """
         under_way = sum(phase.end_ns <= time_ns for phase in self.phases[1::2])
         steps = under_way + 2
         if steps >= len(self.steps):
@@ -113,7 +115,7 @@ class Walking:
         return (phase.step.goal.yaw + phase.step.support.yaw) / 2
 
     def _digest(self) -> bytes:
-        """Of where and when the feet go, and of the CoM every 50 ms."""
+        """Digest of the footprints, of the phases' ends and modes, and of the CoM every 50 ms."""
         goals = [[step.goal.x, step.goal.y, step.goal.yaw] for step in self.steps]
         ends = [[phase.end_ns * 1e-9, phase.mode] for phase in self.phases]
         times = np.arange(0.0, self._config.duration, 0.05)
@@ -121,7 +123,7 @@ class Walking:
         return motion_digest(np.array(goals), np.array(ends), np.array(com))
 
     def _support_phases(self, robot: Robot) -> list[SupportPhase]:
-        """On which soles when, with the ZMP under the support foot and at last between the feet."""
+        """Loaded soles over time, with the ZMP under the support foot and at last between the feet."""
         soles = {foot.side: foot.corners()[:, :2] for foot in robot.description.feet}
         phases = []
 

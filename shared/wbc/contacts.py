@@ -22,7 +22,7 @@ CORNER_MARGIN = 0.005
 
 
 class ContactMode(enum.IntEnum):
-    """Which feet are loaded; the value is what travels on the wire."""
+    """The set of loaded feet. The value travels on the wire."""
 
     DOUBLE_SUPPORT = 0
     LEFT_SUPPORT = 1

@@ -3,15 +3,18 @@
 In one contact mode, without friction rows, the optimum of the whole-body QP is linear in (g, e).
 With H = blockdiag(AᵀA, ω_f I) and g = (Aᵀs, 0),
 
-    [ H  −Eᵀ ] [ y ]   [ g ]        [ y ]   [  P   Q ] [ g ]
-    [ E   0  ] [ ν ] = [ e ],       [ ν ] = [ −Qᵀ  T ] [ e ].
+    [ H  −Eᵀ ] [ y ]   [ g ]
+    [ E   0  ] [ ν ] = [ e ],
+
+    [ y ]   [  P   Q ] [ g ]
+    [ ν ] = [ −Qᵀ  T ] [ e ].
 
 The edge computes P, Q, T at the posture it knows. The robot, at its own state, takes the exact
-residuals at its previous solution and corrects it by these stale blocks; the friction rows C f ≥ l
-are constant, so it decides the active set itself. Level B keeps the stale trade-off between tasks,
-level C takes the exact gradient too and has the fresh optimum as its fixed point. In the terms of
-multi-level real-time iterations: Bock, Diehl, Kostina & Schlöder 2007; Kirches, Wirsching, Bock &
-Schlöder 2012. `docs/locally-corrected.md` derives it.
+residuals at its previous solution and corrects it by these stale blocks. The friction rows C f ≥ l
+are constant, so it decides the active set itself. Level B keeps the stale trade-off between tasks.
+Level C takes the exact gradient too and has the fresh optimum as its fixed point. For the terms of
+multi-level real-time iterations see Bock, Diehl, Kostina & Schlöder 2007; Kirches, Wirsching, Bock
+& Schlöder 2012. `docs/locally-corrected.md` derives it.
 """
 
 from __future__ import annotations
@@ -33,8 +36,8 @@ class Factorisation:
     """Blocks of the inverse KKT matrix of one contact mode at one posture.
 
     `P` (n, n) symmetric, `Q` (n, n_e), `T` (n_e, n_e) symmetric, `A` (n_t, nv) the √ω-weighted task
-    rows; `posture` (nv − 6,) joint positions where they were computed [rad]. Nothing in it depends
-    on where the base is or how it is turned.
+    rows; `posture` (nv − 6,) joint positions at which they were computed [rad]. No block depends on
+    the position or orientation of the base.
     """
 
     mode: ContactMode
@@ -70,7 +73,7 @@ def factorise_kkt(
 
 @dataclass(slots=True)
 class Iterate:
-    """Where the corrections have come to in one contact mode: y (n,) and ν (n_e,)."""
+    """The present result of the corrections in one contact mode: y (n,) and ν (n_e,)."""
 
     mode: ContactMode
     y: np.ndarray
@@ -78,7 +81,9 @@ class Iterate:
 
     @staticmethod
     def zero(stack: Stack) -> Iterate:
-        """From here one step of level B is the stale optimum with a fresh active set."""
+        """Return the zero iterate. One step of level B from it is the stale optimum with a fresh
+        active set.
+        """
         return Iterate(
             stack.mode, np.zeros(stack.layout.n_unknowns), np.zeros(stack.equality_rows.stop)
         )

@@ -2,13 +2,17 @@
 
     min ½ ‖z‖²   s.t.  B z = Z b,      z = (ρ₁, √ω_f f, ρ₂)
 
-ρ is what a misses of the weighted tasks: ρ₁ = A₁ a − s₁ of the CoM, the base and the joints, which
+ρ is the error of a in the weighted tasks: ρ₁ = A₁ a − s₁ of the CoM, the base and the joints, which
 determine a, and ρ₂ = s₂ − A₂ a of a swing foot. With T = A₁⁻¹, and C_𝒜 f = l_𝒜 the friction rows
 that are held,
 
-        ⎡ E_a T   E_f / √ω_f   0 ⎤           ⎡ e − E_a T s₁ ⎤
-    B = ⎢ A₂ T        0        I ⎥     Z b = ⎢ s₂ − A₂ T s₁ ⎥     a = T (s₁ + ρ₁)
-        ⎣   0     C_𝒜 / √ω_f   0 ⎦           ⎣      l_𝒜      ⎦
+        ⎡ E_a T   E_f / √ω_f   0 ⎤
+    B = ⎢ A₂ T        0        I ⎥ ,
+        ⎣   0     C_𝒜 / √ω_f   0 ⎦
+
+          ⎡ e − E_a T s₁ ⎤
+    Z b = ⎢ s₂ − A₂ T s₁ ⎥ ,     a = T (s₁ + ρ₁).
+          ⎣      l_𝒜      ⎦
 
 With its diagonal and three rows of the CoM, A₁ is inverted by hand. `docs/maths.md` derives it.
 """
@@ -35,10 +39,10 @@ class LeastNorm:
 
 
 class LeastNormForm:
-    """What all equations of a contact mode share: columns, constants, friction rows.
+    """The parts that all equations of a contact mode share: columns, constants, friction rows.
 
-    Columns of (B, Z): `z` of B, in it `rho_1`, `f`, `rho_2`; `b` of Z, in it `s_1`.
-    `friction_rows` (rows of C, n_z + n_rows): theirs; `force_scale` is 1/√ω_f.
+    Columns of (B, Z): `z` of B, in it `rho_1`, `f`, `rho_2`; `b` of Z, in it `s_1`. `friction_rows`
+    (rows of C, n_z + n_rows): the friction rows of (B, Z); `force_scale` is 1/√ω_f.
     """
 
     def __init__(

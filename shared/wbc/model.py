@@ -1,11 +1,11 @@
 """Rigid-body terms of the robot at a state: the cheap ones of b and the expensive ones of A.
 
-`kinematics` and `inverse_dynamics` cost the robot a few recursive passes; `jacobians` is what only
-the edge computes. Frames are Pinocchio's: base velocity and acceleration in the base frame, sole
+`kinematics` and `inverse_dynamics` cost the robot a few recursive passes. Only the edge computes
+`jacobians`. Frames are Pinocchio's: base velocity and acceleration in the base frame, sole
 quantities in the sole frame, the centre of mass in the world frame.
 
-What costs as much as those passes is to take their results out of Pinocchio. So what the robot
-needs each millisecond stays where it is: it is `Live`.
+Copying the results out of Pinocchio costs as much as those passes. The terms that the robot needs
+each millisecond therefore stay in Pinocchio's memory: they are `Live`.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import pinocchio as pin
 from shared.robots import Foot, Robot
 from shared.robots.description import sole_frame_name
 
-# An array in the workspace of a model, which writes other numbers there in its next call, whatever
-# that is. It is for use at once; what is to last is computed from it or copied.
+# An array in the workspace of a model, which overwrites it in its next call of any kind.
+# Use it at once; compute lasting values from it or copy it.
 Live = NewType("Live", np.ndarray)
 
 

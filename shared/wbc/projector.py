@@ -1,13 +1,13 @@
 """The QP at one state, its active set, and the projector A† of that set: y = A† b, Eq. (4).
 
-With the active friction rows held at equality the QP asks for the shortest z that obeys B z = Z b
-(`least_norm`), in which the tasks and √ω_f f have weight one:
+The active friction rows are held at equality. The QP then asks for the shortest z that obeys B z =
+Z b (`least_norm`), in which the tasks and √ω_f f have weight one:
 
-    z = Bᵀ S⁻¹ Z b,   S = B Bᵀ        a = T (s₁ + ρ₁),   f from z
+    z = Bᵀ S⁻¹ Z b,   S = B Bᵀ        a = T (s₁ + ρ₁),   f from z.
 
-all linear in b: the rows of A†. S has a row for each row of E, of a swing foot and of C_𝒜, and is
-all there is to factorise. Which rows are active: those of the last state, where that proves to be
-optimal; else a solver finds them, in f alone (n_f = 24 or 12). Exact: no term is dropped.
+All are linear in b: the rows of A†. S has a row for each row of E, of a swing foot and of C_𝒜, and
+is the only matrix to factorise. The active set is that of the last state, if it proves to be
+optimal. Otherwise a solver finds it, in f alone (n_f = 24 or 12). Exact: no term is dropped.
 `docs/maths.md` derives it.
 """
 
@@ -62,10 +62,10 @@ def condense(stack: Stack, problem: LeastNorm, b: np.ndarray) -> QuadraticProgra
 
 @dataclass(frozen=True, slots=True)
 class HeldRows:
-    """The optimum with some rows of C held at equality, whatever b is.
+    """The optimum with some rows of C held at equality, for any b.
 
-    Their multipliers are λ = `multipliers` b, (k, n_rows); `factor` (k, k) is their block of the
-    Cholesky factor of S.
+    The multipliers of these rows are λ = `multipliers` b, (k, n_rows). `factor` (k, k) is their
+    block of the Cholesky factor of S.
     """
 
     projector: Projector
@@ -83,7 +83,7 @@ def hold(stack: Stack, problem: LeastNorm, active: np.ndarray) -> HeldRows:
     multipliers, _ = dpotrs(factor, rows[:, form.b], lower=1)
     z = B.T @ multipliers
     n_a, n, n_rows = stack.layout.n_accelerations, stack.layout.n_unknowns, z.shape[1]
-    # s₁ + ρ₁: a one for each determining row.
+    # s₁ + ρ₁: a 1 for each determining row.
     first = stack.equality_rows.stop
     z.reshape(-1)[first : first + n_a * (n_rows + 1) : n_rows + 1] += 1.0
     A_dagger = z[:n]
@@ -93,14 +93,14 @@ def hold(stack: Stack, problem: LeastNorm, active: np.ndarray) -> HeldRows:
 
 
 def is_optimal(stack: Stack, held: HeldRows, b: np.ndarray) -> bool:
-    """Whether no free row is violated and no held one pulls, clearly so."""
+    """Return whether, by a clear margin, no free row is violated and no held one pulls."""
     contacts, k = stack.contacts, len(held.factor)
     f = held.projector.A_dagger[stack.layout.n_accelerations :] @ b
     free = int(np.count_nonzero(contacts.C @ f - contacts.l > _CLEARLY))
     if free + k < len(contacts.l) or k == 0:
         return free == len(contacts.l)
     inverse, _ = dtrtri(held.factor, lower=1)
-    # By so much would each row be violated if it alone were let go: λᵢ over (S⁻¹)ᵢᵢ.
+    # The violation of each row if it alone were released: λᵢ over (S⁻¹)ᵢᵢ.
     released = held.multipliers @ b / np.square(inverse).sum(axis=0)
     return bool((released > _CLEARLY).all())
 

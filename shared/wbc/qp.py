@@ -23,7 +23,7 @@ from shared.errors import ConfigError
 
 
 class QpStatus(enum.Enum):
-    """How a solve ended."""
+    """The outcome of a solve."""
 
     SOLVED = "solved"
     INFEASIBLE = "infeasible"
@@ -44,7 +44,7 @@ class QuadraticProgram:
     e: np.ndarray | None = None
 
     def is_finite(self) -> bool:
-        """False if any number is NaN or infinite."""
+        """Return whether all numbers are finite: none is NaN or infinite."""
         arrays = (self.H, self.g, self.C, self.l, self.E, self.e)
         return all(array is None or np.isfinite(array).all() for array in arrays)
 
@@ -122,7 +122,7 @@ class DaqpSolver:
             return QpSolution(status, iterations=info["iterations"])
         if len(rows):
             self._models[shape] = model
-        # A multiplier is non-zero exactly for the rows of the final working set.
+        # A multiplier is non-zero exactly for the rows of the final active set.
         multipliers = np.asarray(info["lam"])[-m:] if m else np.empty(0)
         return QpSolution(
             status=status,
@@ -187,7 +187,7 @@ class ProxsuiteSolver:
         )
 
     def _workspace(self, n: int, m_e: int, m: int) -> proxqp.dense.QP:
-        """That of an earlier problem of these sizes, or a new one."""
+        """Return the workspace of an earlier problem of these sizes, or a new one."""
         workspace = self._workspaces.get((n, m_e, m))
         if workspace is None:
             workspace = proxqp.dense.QP(n, m_e, m)

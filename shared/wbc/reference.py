@@ -1,4 +1,4 @@
-"""What the tasks track: a reference at one instant, and the motion that gives it."""
+"""The target of the tasks: a reference at one instant, and the motion that gives it."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class SwingState:
 
 @dataclass(slots=True)
 class Reference:
-    """What the tasks track at one instant.
+    """The target of the tasks at one instant.
 
-    `com`, `com_velocity`, `com_acceleration` (3,) in the world; `world_from_base` (3, 3);
-    `posture` (nv − 6,) joint positions [rad]; `mode` the planned contact mode.
+    `com`, `com_velocity`, `com_acceleration` (3,) in the world; `world_from_base` (3, 3); `posture`
+    (nv − 6,) joint positions [rad]; `mode` the planned contact mode.
     """
 
     com: np.ndarray
@@ -55,11 +55,13 @@ class Motion(Protocol):
         ...
 
     def next_switch(self, time_ns: int) -> int | None:
-        """When the contact mode changes next after `time_ns`; None for never."""
+        """Return the time of the next contact switch after `time_ns`, or None if there is none."""
         ...
 
     def stopped(self, time_ns: int) -> Motion:
-        """The same motion until `time_ns`, from then on to a stand as soon as it can be."""
+        """Return the motion that is the same until `time_ns`, then comes to a stand as soon as
+        possible.
+        """
         ...
 
 
@@ -72,7 +74,7 @@ def turned(yaw: float) -> np.ndarray:
 def motion_digest(*parts: np.ndarray) -> bytes:
     """Eight bytes of positions and times, to a tenth of a millimetre or of a millisecond.
 
-    Coarser than the rounding by which two machines may differ.
+    This is coarser than the rounding by which two machines may differ.
     """
     rounded = [np.round(np.asarray(part, dtype=float) * 1e4).astype(np.int64) for part in parts]
     return hashlib.sha256(b"".join(part.tobytes() for part in rounded)).digest()[:8]
@@ -81,7 +83,7 @@ def motion_digest(*parts: np.ndarray) -> bytes:
 def coming_switches(motion: Motion, time_ns: int) -> list[int]:
     """Times of the next two contact switches after `time_ns`, fewer if there are no more.
 
-    Two, because a double support can be shorter than what it takes to prepare for its end.
+    There are two, because a double support can be shorter than the preparation for its end.
     """
     times: list[int] = []
     while len(times) < 2 and (switch_ns := motion.next_switch(time_ns)) is not None:

@@ -1,9 +1,9 @@
 """The tasks: one class each, with its Jacobian for the edge and its feedback for both ends.
 
-The rows of b are √ω (s̈* − J̇ v) of Eq. (6), or √ω (s̈* − J̇ v − J a) with kinematics at an
-acceleration a, where s̈* = s̈_ref + kp (s_ref − s) + kd (ṡ_ref − ṡ) and kd = 2 √kp (critical
+The rows of b are √ω (s̈* − J̇ v) of Eq. (6). With kinematics at an acceleration a they are √ω (s̈*
+− J̇ v − J a). Here s̈* = s̈_ref + kp (s_ref − s) + kd (ṡ_ref − ṡ) and kd = 2 √kp (critical
 damping). The robot writes them each millisecond: gains have √ω in them, and rows are written in
-place. The weight of J is applied by the stack.
+place. The stack applies the weight of J.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Task(Protocol):
     def weight(self) -> float: ...
     @property
     def constant(self) -> bool:
-        """Whether J is the same at every configuration."""
+        """Return whether J is the same at every configuration."""
         ...
 
     def jacobian(self, jacobians: Jacobians) -> np.ndarray:

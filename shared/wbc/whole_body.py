@@ -1,5 +1,6 @@
-"""The full controller at one state: terms, QP, projector. What the edge runs, and the robot's
-on-board computer around a contact switch.
+"""The full controller at one state: terms, QP, projector.
+
+The edge runs it, and so does the robot's on-board computer around a contact switch.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ class WholeBodyController:
             return None
 
     def timed(self, projector: Projector, *, from_ns: int) -> TimedProjector:
-        """Valid from a task time until the next contact switch after it."""
+        """Return the projector, valid from a task time until the next contact switch after it."""
         switch = self._motion.next_switch(from_ns)
         return TimedProjector(projector, from_ns, FOR_EVER_NS if switch is None else switch)
 

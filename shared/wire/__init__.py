@@ -1,1 +1,1 @@
-"""What crosses the link: messages, their encoding with every check, and the table of channels."""
+"""The traffic of the link: messages, their encoding with every check, and the table of channels."""

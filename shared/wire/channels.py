@@ -1,4 +1,4 @@
-"""One table of what is published where, how often and how large it may be."""
+"""The table of channels: key, nominal rate and size bound of every publication."""
 
 from __future__ import annotations
 

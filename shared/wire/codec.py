@@ -1,12 +1,13 @@
 """Messages to bytes and back, with every check of a received message in one place.
 
-msgpack maps; arrays as raw little-endian `bin`. `decode_*` either returns a message whose shapes,
-types and numbers are right for this robot and configuration, or raises `MessageRefused` with the
-name of the check that failed. Order and freshness are judged by who keeps the newest.
+Messages are msgpack maps, with arrays as raw little-endian `bin`. `decode_*` either returns a
+message whose shapes, types and numbers are right for this robot and configuration, or raises
+`MessageRefused` with the name of the check that failed. The keeper of the newest message judges
+order and freshness.
 
-The two messages that cross the link each millisecond, a state and an answer of one projector, have
-a `Form`. What is not of a form, or in which anything is wrong, is decoded field by field, and there
-the reason is found.
+Two messages cross the link each millisecond: a state, and an answer of one projector. They have a
+`Form`. A message that has no form, or that holds an error, is decoded field by field, which finds
+the reason.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ Judge = Callable[[int, int], None]
 
 
 def _anything(session: int, sequence: int) -> None:
-    """Wants every answer."""
+    """Accept every answer."""
 
 
 class Codec:
@@ -84,14 +85,14 @@ class Codec:
         }
 
     def rounded(self, projector: Projector) -> Projector:
-        """The projector as the other end will see it, after the wire's number format."""
+        """Return the projector as the other end will see it, after the wire's number format."""
         if self._dtype == projector.A_dagger.dtype:
             return projector
         A_dagger = projector.A_dagger.astype(self._dtype).astype(np.float64)
         return Projector(mode=projector.mode, A_dagger=A_dagger, active=projector.active)
 
     def encode_state(self, state: RobotState) -> bytes:
-        """A `RobotState` as bytes, at most `UPLINK.max_bytes`."""
+        """Encode a `RobotState`, in at most `UPLINK.max_bytes`."""
         held_sequences = state.held_sequences
         form = self._state_form if held_sequences is None else self._holding_form
         return form.write(
@@ -106,7 +107,7 @@ class Codec:
         )
 
     def decode_state(self, data: bytes) -> RobotState:
-        """A checked `RobotState`; `MessageRefused` otherwise."""
+        """Decode and check a `RobotState`. Raise `MessageRefused` if a check fails."""
         state = self._read_state(data)
         if state is not None:
             return state
@@ -123,7 +124,7 @@ class Codec:
         )
 
     def encode_projector(self, message: ProjectorMessage) -> bytes:
-        """A `ProjectorMessage` as bytes; `ConfigError` if it exceeds `DOWNLINK.max_bytes`."""
+        """Encode a `ProjectorMessage`. Raise `ConfigError` if it exceeds `DOWNLINK.max_bytes`."""
         if len(message.projectors) == 1:
             return self._write_answer(message, message.projectors[0])
         return self._pack(
@@ -139,7 +140,7 @@ class Codec:
         )
 
     def decode_projector(self, data: bytes, judge: Judge = _anything) -> ProjectorMessage:
-        """A checked `ProjectorMessage`; `MessageRefused` otherwise."""
+        """Decode and check a `ProjectorMessage`. Raise `MessageRefused` if a check fails."""
         message = self._read_answer(data, judge)
         if message is not None:
             return message
@@ -164,7 +165,7 @@ class Codec:
         return message
 
     def encode_factorisations(self, message: FactorisationMessage) -> bytes:
-        """A `FactorisationMessage` as bytes, numbers in single precision."""
+        """Encode a `FactorisationMessage`, with numbers in single precision."""
         return self._pack(
             _FACTORISATION,
             DOWNLINK.max_bytes,
@@ -175,7 +176,7 @@ class Codec:
         )
 
     def decode_factorisations(self, data: bytes, judge: Judge = _anything) -> FactorisationMessage:
-        """A checked `FactorisationMessage`; `MessageRefused` otherwise."""
+        """Decode and check a `FactorisationMessage`. Raise `MessageRefused` if a check fails."""
         fields = self._unpack(data, _FACTORISATION, DOWNLINK.max_bytes)
         entries = fields.get("factorisations")
         if not isinstance(entries, list) or len(entries) > len(ContactMode):
@@ -206,7 +207,7 @@ class Codec:
         )
 
     def _read_state(self, data: bytes) -> RobotState | None:
-        """The state in a message of its form; None if it is of another, or anything is wrong."""
+        """Return the state in a message of its form, or None if it has another form or an error."""
         size = len(data)
         if size == self._state_form.size:
             values = self._state_form.read(data)
@@ -272,7 +273,7 @@ class Codec:
         )
 
     def _read_answer(self, data: bytes, judge: Judge) -> ProjectorMessage | None:
-        """The answer in a message of its form; None if it is of another, or anything is wrong."""
+        """Return the answer in a message of its form, or None if it has another form or an error."""
         known = self._answer_forms_by_size.get(len(data))
         if known is None:
             return None
@@ -300,7 +301,7 @@ class Codec:
         return ProjectorMessage(session, sequence, stamp_ns, mode, tau, y, (timed,))
 
     def _are_active_rows(self, rows: list[int], mode: ContactMode) -> bool:
-        """Whether they ascend and are rows of C."""
+        """Return whether `rows` ascend and are rows of C."""
         if not rows:
             return True
         return rows == sorted(set(rows)) and rows[-1] < self._n_inequalities[mode]
@@ -417,7 +418,7 @@ def _check_size(kind: str, size: int, max_bytes: int) -> None:
 
 
 def _finite(data: bytes, dtype: np.dtype[Any] = _DOUBLE) -> np.ndarray | None:
-    """The numbers, as float64; None if one of them is not finite."""
+    """Return the numbers as float64, or None if one of them is not finite."""
     numbers = np.frombuffer(data, dtype)
     if dtype is not _DOUBLE:
         numbers = numbers.astype(np.float64)

@@ -1,8 +1,8 @@
 """Messages that differ in some numbers only, as one `struct` each: msgpack all the same.
 
-An integer in a slot takes nine bytes whatever its value, so between its slots every message of a
-form has the same bytes at the same places. To write or read one is a single call. msgpack's own
-encoder writes shorter integers: what it writes is read by msgpack's own decoder.
+An integer in a slot takes nine bytes at any value. Between its slots every message of a form
+therefore has the same bytes at the same places. To write or read one is a single call. msgpack's
+own encoder writes shorter integers. msgpack's own decoder reads the messages of a form.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import msgpack
 
 @dataclass(frozen=True)
 class Slot:
-    """What varies in a form: the bytes in front of it, by which msgpack tells its type, and its
-    code in a `struct`.
+    """A variable field of a form: the bytes in front of it, from which msgpack tells its type, and
+    its code in a `struct`.
     """
 
     prefix: bytes
@@ -26,12 +26,12 @@ class Slot:
 
 
 INTEGER = Slot(b"\xd3", "q")
-# From 0 to 127; what is read may be larger and then is none.
+# From 0 to 127; a number that is read may be larger and is then invalid.
 SMALL = Slot(b"", "B")
 
 
 def binary(size: int) -> Slot:
-    """So many raw bytes."""
+    """A slot of `size` raw bytes."""
     encoded = msgpack.packb(bytes(size))
     return Slot(encoded[: len(encoded) - size], f"{size}s")
 
@@ -64,7 +64,7 @@ class Form:
         return self._struct.pack(*parts)
 
     def read(self, data: bytes) -> tuple[Any, ...] | None:
-        """The values in a message of `size` bytes; None if it is not of this form."""
+        """Return the values in a message of `size` bytes, or None if it is not of this form."""
         parts = self._struct.unpack(data)
         return parts[1::2] if parts[::2] == self._constants else None
 

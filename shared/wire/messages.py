@@ -1,6 +1,7 @@
 """The messages of the link. `docs/wire.md` documents their encoding field by field.
 
-Those of every millisecond are not frozen: it takes five times as long to make one that is.
+The messages of every millisecond are not frozen, because a frozen one takes five times as long to
+make.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ class RobotState:
 
 @dataclass(slots=True)
 class ProjectorMessage:
-    """Downlink: what the edge computed from one state, whose identity it echoes.
+    """Downlink: the result of the edge for one state, whose identity it echoes.
 
-    `tau` (nv − 6,) [N m] and `y` (n,) are the full solution at that state, all that a purely remote
-    controller uses. `projectors` holds at least the one of `mode`, possibly others for later modes.
+    `tau` (nv − 6,) [N m] and `y` (n,) are the full solution at that state. A purely remote
+    controller uses nothing else. `projectors` holds at least the one of `mode`, possibly others for
+    later modes.
     """
 
     session: int
@@ -56,7 +58,7 @@ class ProjectorMessage:
 class FactorisationMessage:
     """Downlink to a robot that corrects: factorisations at the state whose identity it echoes.
 
-    With none it only says that the edge is there.
+    A message without factorisations only says that the edge is there.
     """
 
     session: int
