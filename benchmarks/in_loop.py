@@ -41,7 +41,7 @@ Call = tuple[tuple[str, ...], int]
 
 @dataclass(frozen=True)
 class Part:
-    """A function or method to time, `where` it is looked up when called, and its name here."""
+    """A function or method to time: the place `where` a call looks it up, and its name here."""
 
     where: str
     name: str

@@ -76,7 +76,7 @@ def measure(connect: Connect) -> tuple[np.ndarray, np.ndarray]:
 
 @contextmanager
 def ours(endpoint: str, arrivals: list[int]) -> Iterator[Callable[[bytes], object]]:
-    """By the bus of a run, into an inbox."""
+    """Send by the bus of a run, into an inbox."""
     inbox = Inbox()
 
     def receive(delivery: Delivery) -> None:
@@ -93,7 +93,7 @@ def ours(endpoint: str, arrivals: list[int]) -> Iterator[Callable[[bytes], objec
 
 @contextmanager
 def bare(endpoint: str, arrivals: list[int]) -> Iterator[Callable[[bytes], object]]:
-    """By Zenoh alone: a put of the same bytes, and a callback that looks at nothing."""
+    """Send by Zenoh alone: a put of the same bytes, and a callback that does not read them."""
     config = zenoh.Config()
     config.insert_json5("connect/endpoints", f'["{endpoint}"]')
     config.insert_json5("scouting/multicast/enabled", "false")

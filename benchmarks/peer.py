@@ -24,7 +24,7 @@ import placo
 import tsid.tsid_pywrap as tsid
 
 SIDES = ("left", "right")
-# Of a contact [N]: TSID wants one; more than any contact of a robot of this size.
+# Greatest force of a contact [N], which TSID needs; no contact of such a robot reaches it.
 MAX_FORCE = 1e4
 
 # Written before each step: the rest of a loop leaves little in the caches.

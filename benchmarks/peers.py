@@ -57,7 +57,7 @@ from shared.wire.codec import Codec
 
 _LOCK = Path(__file__).with_name("peers.lock")
 PEERS = ("tsid", "placo")
-# Of a run whose push begins at 1 s: from before it until well into the recovery [ms].
+# Ticks of a run whose push begins at 1 s: from before it until well into the recovery [ms].
 _STATES_MS = range(900, 1540, 10)
 _CONTROLLERS = ("pr", "la", "lc")
 _WARM_UP_ROUNDS = 2

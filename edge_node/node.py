@@ -92,7 +92,7 @@ class EdgeNode:
         return self._project(state)
 
     def solve(self, state: RobotState) -> tuple[WholeBodySolution, np.ndarray]:
-        """Solve the full QP at a state. Return its solution and b. Nothing is counted or encoded."""
+        """Solve the full QP at a state. Return its solution and b. Count and encode nothing."""
         return self._controller.solve(state.q, state.v, time_ns=state.time_ns, mode=state.mode)
 
     def _project(self, state: RobotState) -> Answer:

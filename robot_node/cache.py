@@ -122,7 +122,7 @@ class ProjectorCache(AnswerCache):
         mode = entry.projector.mode
         held = self._entries.get(mode)
         if held is not None:
-            # Of two from the same state the edge's wins.
+            # Of two projectors from the same state the edge's wins.
             same_state = entry.sequence == held.sequence
             if entry.sequence < held.sequence or (same_state and entry.on_board):
                 return
@@ -180,7 +180,7 @@ class FactorisationCache(AnswerCache):
         stamp_ns: int,
         on_board: bool = False,
     ) -> None:
-        """Keep the factorisations from a newer state. Raise `MessageRefused` if one cannot be used."""
+        """Keep factorisations from a newer state. Raise `MessageRefused` if one cannot be used."""
         try:
             correctors = [
                 Corrector(self._stacks[each.mode], each, level=self._level)

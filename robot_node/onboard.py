@@ -75,7 +75,7 @@ StartComputer = Callable[[MakeSolve], OnBoardComputer]
 
 
 class ModelledComputer:
-    """Solves at once, and gives the solution out `ready_after_ns` of task time later: repeatable."""
+    """Solves at once, and releases the solution `ready_after_ns` of task time later: repeatable."""
 
     def __init__(self, solve: Solve, *, ready_after_ns: int) -> None:
         self._solve = solve

@@ -56,7 +56,7 @@ class RigidPlant:
         return self._q.copy(), self._v.copy()
 
     def acceleration(self, tau: np.ndarray, *, push: np.ndarray) -> np.ndarray:
-        """Return a (nv,) of Eq. (1) under joint torques (nv − 6,) [N m] and a push, as in `Plant`."""
+        """a (nv,) of Eq. (1) under joint torques (nv − 6,) [N m] and a push, as in `Plant`."""
         force = np.empty(self._model.nv)
         force[:3] = pin.Quaternion(self._q[3:7]).toRotationMatrix().T @ push
         force[3:6] = np.cross(self._lever, force[:3])

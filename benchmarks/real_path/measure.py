@@ -105,7 +105,7 @@ def _trial(
     duration: float,
     controller: str,
 ) -> str:
-    """One run; age p50 and p99, and projectors sent, received and lost."""
+    """Play one run. Return age p50 and p99, and projectors sent, received and lost."""
     endpoint = f"{protocol}/{machines.edge.address}:{_PORT}"
     secure: tuple[str, ...] = ()
     if protocol != "tcp":

@@ -72,7 +72,7 @@ def two_machines(*, rate: str) -> Iterator[Machines]:
 
 
 def name_machines() -> Machines:
-    """Name two machines of this process, yet to be made. Remove the machines of killed processes."""
+    """Name two machines of this process, not yet made. Remove the machines of killed processes."""
     _remove_leftovers()
     return Machines(
         robot=Machine(f"{_PREFIX}robot-{os.getpid()}", "10.77.0.1"),

@@ -123,7 +123,7 @@ class Walking:
         return motion_digest(np.array(goals), np.array(ends), np.array(com))
 
     def _support_phases(self, robot: Robot) -> list[SupportPhase]:
-        """Loaded soles over time, with the ZMP under the support foot and at last between the feet."""
+        """Loaded soles in time, with the ZMP under the support foot, at last between the feet."""
         soles = {foot.side: foot.corners()[:, :2] for foot in robot.description.feet}
         phases = []
 

@@ -165,7 +165,7 @@ class ProxsuiteSolver:
         else:
             workspace.update(*data)
         # Warm means the workspace's own previous iterate, which holds more than an active set.
-        # Where there is none, `proxsuite` would read memory that is not its own.
+        # Without a previous iterate `proxsuite` would read memory that is not its own.
         workspace.settings.initial_guess = (
             proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
             if warm_active is not None and before == proxqp.QPSolverOutput.PROXQP_SOLVED

@@ -1,4 +1,4 @@
-"""From the solution y = (a, f) to joint torques, Eq. (1a), with the dynamics of the present state.
+"""Joint torques from the solution y = (a, f), Eq. (1a), with the dynamics of the present state.
 
 A stale projector gives a stale trade-off between tasks, never stale dynamics: τ is recovered with
 the M, h and J_c of the newest measurement.

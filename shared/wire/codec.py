@@ -207,7 +207,7 @@ class Codec:
         )
 
     def _read_state(self, data: bytes) -> RobotState | None:
-        """Return the state in a message of its form, or None if it has another form or an error."""
+        """The state in a message of its form, or None if it has another form or an error."""
         size = len(data)
         if size == self._state_form.size:
             values = self._state_form.read(data)
@@ -273,7 +273,7 @@ class Codec:
         )
 
     def _read_answer(self, data: bytes, judge: Judge) -> ProjectorMessage | None:
-        """Return the answer in a message of its form, or None if it has another form or an error."""
+        """The answer in a message of its form, or None if it has another form or an error."""
         known = self._answer_forms_by_size.get(len(data))
         if known is None:
             return None
