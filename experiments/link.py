@@ -1,7 +1,7 @@
-"""Tries a whole link: each controller balances in windows that cover it, and at its worst outages.
+"""A trial of a whole link: each controller balances in windows that cover it, and at outages.
 
 `./wbc link FILE` answers the question whether the robot would stand on a link. Windows of some
-seconds follow one another from the beginning of the profile to its end; the robot is pushed in each
+seconds follow one another from the beginning of the profile to its end. The robot is pushed in each
 of them. Further windows place the push at the beginning of the longest outages. The same command
 goes on after an interruption.
 """
@@ -43,7 +43,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class LinkOutage:
-    """A span of a profile in which a direction passes nothing, or much too late [s]."""
+    """A span of a profile [s] in which a direction passes no message, or passes it far too late."""
 
     direction: str
     start: float
@@ -121,9 +121,9 @@ def link_outages(profile: DelayProfile) -> list[LinkOutage]:
 
 
 def apart(found: Sequence[LinkOutage]) -> list[LinkOutage]:
-    """The outages in their order, without each that overlaps an earlier one.
+    """The outages in their order, without any outage that overlaps an earlier one.
 
-    A link that fails mostly fails both ways.
+    Most failures of a link concern both ways.
     """
     chosen: list[LinkOutage] = []
     for each in found:
@@ -140,10 +140,10 @@ def window_starts(
     push_at: float,
     covering: bool,
 ) -> dict[str, float]:
-    """Where windows begin in the profile [s], by their names.
+    """The beginning of each window in the profile [s], by the window's name.
 
-    With `covering`, windows follow one another over the whole profile. For each of `worst` there is
-    one whose push, `push_at` [s] after its beginning, comes at the beginning of the outage.
+    With `covering`, windows follow one another over the whole profile. Each outage of `worst` has a
+    window whose push, `push_at` [s] after its beginning, comes at the beginning of the outage.
     """
     length = profile.duration_ns * 1e-9
     starts: dict[str, float] = {}

@@ -1,21 +1,21 @@
-"""What the link can carry over time, and the byte queue that it makes: `capacity:factory/001`.
+"""The capacity of the link over time, and its byte queue: `capacity:factory/001`.
 
-A recorded delay is the delay of the load that it was recorded with. During a blockage the link
-still carries a few bytes per millisecond and the queue fills, so that a controller which sends less
+A recorded delay holds for the load of the recording. While a blocker stands in the beam, the link
+still carries a few bytes per millisecond and the queue fills. A controller that sends less then
 waits less. Here the profile gives the capacity, and every message takes its place in a queue,
 
     D_k = min { t : S(t) ≥ S(max(t_k, D_k−1)) + B_k },     delay_k = D_k − t_k + base,
 
-with S(t) the bytes that the link can have carried up to t, t_k and B_k when message k was sent and
-its bytes. The queue holds a limited number of bytes; a message that finds no room is lost
+with S(t) the bytes that the link can have carried up to t, t_k the sending time of message k and
+B_k its bytes. The queue holds a limited number of bytes. A message without room is lost
 (drop-tail).
 
 A profile may give its capacity in the columns `uplink_capacity_bytes` and
-`downlink_capacity_bytes`. Otherwise it is found from the recorded delays: while messages wait, each
-one's bytes are what the link carried between the departure of the one before and its own. Where in
-that time, the physical layer's delivered bytes say if the profile has them; else at its end. While
-nothing waits the link carries more than was asked of it, and by how much is not known: it counts as
-`_IDLE_FACTOR` times the load. A load far above the recorded one is not to be trusted.
+`downlink_capacity_bytes`. Otherwise the recorded delays give it. While messages wait, the link
+carries a message's bytes between the departure of the message before and its own. The physical
+layer's delivered bytes place them within that time if the profile has these bytes. Otherwise they
+count at its end. While no message waits, the link could carry more than the load, by an unknown
+amount: it counts as `_IDLE_FACTOR` times the load. Do not trust a load far above the recorded one.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ import numpy as np
 from netem.profile import DIRECTIONS, LOST, DelayProfile, DelaySource, start_offset_ns
 from shared.errors import ProfileError
 
-# An idle link carries that many times the recorded load: a message's own bytes then take little of
-# the base delay that was recorded for it.
+# The capacity of an idle link, as a multiple of the recorded load. It is high, so that a message's
+# bytes take little of the base delay recorded for it.
 _IDLE_FACTOR = 10.0
-# The part of a message that arrives with its last byte at the earliest: what was delivered before
-# is held back until the block that is missing has come again.
+# The part of a message that arrives with its last byte at the earliest. The link holds back the
+# bytes delivered before, until the missing block has come again.
 _LAST = 0.01
-# Of all periods so many must have had a message: some are sent a moment late.
+# The minimum fraction of periods with a message. Some messages are sent a moment late.
 _ENOUGH = 0.9
 _DELIVERED = ("delivered_ul_bytes", "delivered_dl_bytes")
 # How ns-3 profiles call the size of a message.
@@ -47,8 +47,8 @@ _SIZES = (("uplink_bytes", "ulB"), ("downlink_bytes", "dlB"))
 class CapacityProfile:
     """Bytes that the link can carry in each period, each way.
 
-    `capacity` (2, n) [bytes per `period_ns`], uplink then downlink; `base_ns` (2,) the delay of a
-    message that finds the link idle. It repeats when it ends.
+    `capacity` is (2, n) [bytes per `period_ns`], uplink then downlink. `base_ns` (2,) is the delay
+    of a message that finds the link idle. The profile repeats when it ends.
     """
 
     name: str
@@ -64,16 +64,16 @@ class CapacityProfile:
         return n * self.period_ns
 
     def start_offset_ns(self, seed: int) -> int:
-        """Where in the profile a run of this seed begins: as in the profile of its delays."""
+        """The place at which a run of this seed begins [ns]; the same as in the delay profile."""
         return start_offset_ns(seed, self.capacity.shape[1], self.period_ns)
 
     @property
     def nominal_round_trip_ns(self) -> int:
-        """Of a message that finds the link idle [ns]."""
+        """The round trip of a message that finds the link idle [ns]."""
         return int(self.base_ns.sum())
 
     def source(self, direction: int, *, queue_bytes: int) -> DelaySource:
-        """The delay of each message of one direction; it remembers what waits."""
+        """A function that gives the delay of each message of one direction. It keeps the queue."""
         return _Queue(self, direction, queue_bytes).delay_ns
 
     @cached_property
@@ -83,7 +83,7 @@ class CapacityProfile:
 
 
 class _Queue:
-    """First in, first out, in bytes. Times are counted from the beginning of the profile."""
+    """A first-in, first-out queue of bytes. Times count from the beginning of the profile."""
 
     def __init__(self, profile: CapacityProfile, direction: int, queue_bytes: int) -> None:
         self._carried = profile.carried[direction]
@@ -111,7 +111,7 @@ class _Queue:
         return float(passes * self._carried[-1] + below + part * (above - below))
 
     def _when(self, served: float) -> float:
-        """The first time by which S is so much [ns]."""
+        """The first time at which S reaches `served` [ns]."""
         passes, within = divmod(served, float(self._carried[-1]))
         if within == 0.0 and passes > 0:  # the end of a pass, not the idle time after it
             passes, within = passes - 1, float(self._carried[-1])
@@ -122,8 +122,8 @@ class _Queue:
 
 
 def capacity_of(profile: DelayProfile) -> CapacityProfile:
-    """The capacity behind a profile; see the module. `ProfileError` if it cannot be found."""
-    # What its own bytes take on an idle link is part of a recorded message's base delay.
+    """The capacity behind a profile (see the module). `ProfileError` if the profile has none."""
+    # A recorded base delay contains the time that the message's bytes take on an idle link.
     own_ns = profile.period_ns / _IDLE_FACTOR
     base_ns = np.array([max(0, _base_ns(way) - own_ns) for way in profile.delays_ns], dtype=int)
     capacity = np.stack([_of_way(profile, way) for way in range(len(DIRECTIONS))])
@@ -136,15 +136,15 @@ def capacity_of(profile: DelayProfile) -> CapacityProfile:
 
 
 def _base_ns(delays_ns: np.ndarray) -> int:
-    """Delay on an idle link: few are below it, by a whim of the schedule."""
+    """The delay on an idle link [ns]: the 10 % quantile, since the schedule favours a few."""
     return int(np.quantile(delays_ns[delays_ns != LOST], 0.1, method="lower"))
 
 
 def _of_way(profile: DelayProfile, way: int) -> np.ndarray:
-    """Bytes per period (n,) of one way."""
+    """The capacity of one way (n,) [bytes per period]."""
     given = profile.columns.get(f"{DIRECTIONS[way]}_capacity_bytes")
     if given is not None:
-        # The idle link, where no bytes were asked of it, is as good as it ever was.
+        # A link without a load counts with its highest capacity.
         return np.where(np.isfinite(given), given, np.nanmax(given)).astype(float)
     part = _messages_in_a_period(profile, DIRECTIONS[way])
     if part < _ENOUGH:
@@ -164,7 +164,7 @@ def _of_way(profile: DelayProfile, way: int) -> np.ndarray:
 
 
 def _messages_in_a_period(profile: DelayProfile, direction: str) -> float:
-    """How many messages the recorded load had in a period, as far as the metadata tell; else 1."""
+    """The recorded load [messages per period], as far as the metadata tell; else 1."""
     of = {key: profile.metadata.get(key) for key in ("packets", "interpolated", "rate_hz")}
     packets, interpolated = (
         each.get(direction) if isinstance(each, dict) else None
@@ -200,7 +200,7 @@ def _behind(
             continue
         overlap = np.minimum(periods + 1, end) - np.maximum(periods, begin)
         busy[periods] += overlap
-        if end > n:  # it leaves after the end of the profile: how much of it before is not known
+        if end > n:  # it leaves after the profile's end: the part carried before is unknown
             continue
         share = overlap * weights[periods]
         early = 0.0 if delivered is None or share.sum() <= 0.0 else 1.0 - _LAST

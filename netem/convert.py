@@ -34,7 +34,7 @@ from shared.config.quantities import parse_duration_ns
 from shared.errors import ConfigError, ProfileError
 from shared.process.cli import EXIT_STANDING
 
-# Each flag's name, the field of `Options` that it sets, how it is written and what it is.
+# Each flag: its name, the field of `Options` that it sets, its parser, an example and its help.
 _FLAGS: tuple[tuple[str, str, Callable[[str], Any], str, str], ...] = (
     ("period", "period_ns", parse_period_ns, "1ms", "of the profile"),
     ("pause", "pause", str, "cut", "1 s or longer without packets: refuse (default), cut, "
@@ -91,7 +91,7 @@ def add_convert_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_convert(arguments: argparse.Namespace) -> int:
-    """Write the profile and say what was assumed; 0."""
+    """Write the profile and print the assumptions. Return 0."""
     *inputs, out = arguments.files
     if out.suffix not in (".npz", ".csv"):
         raise ProfileError(f"convert: expected the profile to write last, .npz or .csv, got {out}")
@@ -150,7 +150,7 @@ def _options(arguments: argparse.Namespace) -> Options:
 
 
 def _with_receivers(options: Options, inputs: list[Path]) -> tuple[Options, list[Path]]:
-    """The receivers' tables beside the senders' where packets are joined by an id."""
+    """Put the receivers' tables beside the senders' if an id joins the packets."""
     if "id" not in options.columns:
         return options, inputs
     if len(inputs) not in (2, 4):
@@ -166,7 +166,7 @@ def _with_receivers(options: Options, inputs: list[Path]) -> tuple[Options, list
 def _with_sendings(
     options: Options, inputs: list[Path], arguments: argparse.Namespace
 ) -> tuple[Options, list[Path]]:
-    """ns-3's sendings beside the receptions of the same way."""
+    """Put ns-3's sendings beside the receptions of the same way."""
     sendings = [file for file in inputs if is_ns3_sendings(first_line(file))]
     rest = [file for file in inputs if file not in sendings]
     named = {UPLINK: arguments.uplink, DOWNLINK: arguments.downlink}
@@ -186,7 +186,7 @@ def _with_sendings(
 
 
 def _refuse_flags(arguments: argparse.Namespace, formats: list[Format], name: str) -> None:
-    """A flag that none of the formats takes is a mistake, and not passed over."""
+    """Raise `ConfigError` for a flag that none of the formats takes."""
     for flag, field, *_ in _FLAGS:
         key = flag.replace("-", "_")
         if getattr(arguments, field) is not None and not any(key in f.options for f in formats):
@@ -221,7 +221,7 @@ def _print(profile: DelayProfile, out: Path, formats: list[Format]) -> None:
 
 
 def _losses_in_words(profile: DelayProfile, direction: int, *, imported: bool) -> str:
-    """Packets lost of packets sent, and what that is in time."""
+    """The packets lost of the packets sent, and the time lost, in words."""
     lost = profile.delays_ns[direction] == LOST
     longest_s = longest_run(lost) * profile.period_ns * 1e-9
     words = [f"{100 * lost.mean():.2f} % of the time lost"]

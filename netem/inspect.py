@@ -27,7 +27,7 @@ def add_list_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_list(arguments: argparse.Namespace) -> int:
-    """A line per shipped profile; 0."""
+    """Print a line per shipped profile. Return 0."""
     names = shipped_names()
     scenarios = sorted({name.rpartition("/")[0] for name in names})
     if arguments.scenario not in (None, *scenarios):
@@ -54,7 +54,7 @@ def add_show_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_show(arguments: argparse.Namespace) -> int:
-    """Where a profile comes from and its delay over time; 0."""
+    """Print the source of a profile and its delay over time. Return 0."""
     profile = load_profile(arguments.network)
     n = profile.delays_ns.shape[1]
     print(f"{profile.name}: {n} periods of {profile.period_ns / 1000:g} µs")
@@ -84,7 +84,7 @@ def add_stats_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_stats(arguments: argparse.Namespace) -> int:
-    """Quantiles, outages and memory of one or several profiles together; 0."""
+    """Print quantiles, outages and memory of one or several profiles together. Return 0."""
     profiles = [profile for name in arguments.networks for profile in _profiles(name)]
     if len({profile.period_ns for profile in profiles}) > 1:
         raise ProfileError("stats: expected profiles of one period, got several")
@@ -135,7 +135,7 @@ memory: how far apart two delays are that hardly know of each other (correlation
 
 
 def _profiles(name: str) -> list[DelayProfile]:
-    """A profile, or all those of a scenario or a folder."""
+    """A profile, or all profiles of a scenario or a folder."""
     shipped = [each for each in shipped_names() if each.rpartition("/")[0] == name]
     if shipped:
         return [load_profile(each) for each in shipped]
@@ -148,7 +148,7 @@ def _profiles(name: str) -> list[DelayProfile]:
 
 
 def _sparkline(delays: np.ndarray, top: float) -> str:
-    """The longest delay of each of `_WIDTH` stretches; a cross where all were lost."""
+    """The longest delay of each of `_WIDTH` spans; a cross for a span in which all were lost."""
     marks = []
     for stretch in np.array_split(delays, min(_WIDTH, len(delays))):
         passed = stretch[np.isfinite(stretch)]

@@ -1,4 +1,4 @@
-"""What `--network` may name: a profile (shipped, generated, a file), a constant delay, a link."""
+"""The networks that `--network` names: a profile (shipped, generated, file), a constant, a link."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GENERATED = "generated:"
 
 
 def load_network(network: str) -> Profile:
-    """What messages meet: the delays of a profile or, after `capacity:`, the link behind it."""
+    """The network of that name: the delays of a profile or, after `capacity:`, its link."""
     profile = load_profile(network.removeprefix(CAPACITY))
     return capacity_of(profile) if network.startswith(CAPACITY) else profile
 
@@ -70,7 +70,7 @@ def constant_profile(network: str) -> DelayProfile:
 
 @functools.lru_cache(maxsize=256)
 def generated_profile(network: str) -> DelayProfile:
-    """`generated:SCENARIO/SEED`: what `netem generate` makes of that seed, without a file."""
+    """`generated:SCENARIO/SEED`: the profile of `netem generate` for that seed, without a file."""
     scenarios = "|".join(SCENARIOS)
     found = re.fullmatch(f"{GENERATED}({scenarios})/(0|[1-9][0-9]{{0,8}})", network)
     if found is None:

@@ -1,6 +1,6 @@
 """Profiles as files, `.npz` and `.csv`; `docs/profiles.md` describes both.
 
-What a file may not hold is refused with the array or line that is wrong.
+An invalid file is refused. The error names the array or line that is wrong.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CSV_HEADER = ("uplink_ms", "downlink_ms")
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is such a file; False for a name that no file can have."""
+    """Return whether there is such a file; False for a name that no file can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -35,7 +35,7 @@ def is_file(path: Path) -> bool:
 
 
 def read_profile(path: Path, *, name: str | None = None) -> DelayProfile:
-    """The profile in a file. `ProfileError` with the array or line that is wrong."""
+    """The profile in a file. `ProfileError` names the array or line that is wrong."""
     read = {".npz": _read_npz, ".csv": _read_csv}.get(path.suffix)
     if read is None:
         raise ProfileError(
@@ -114,7 +114,7 @@ def _write_npz(profile: DelayProfile, path: Path) -> None:
 
 
 def _read_csv(path: Path, name: str) -> DelayProfile:
-    """`uplink_ms,downlink_ms` and any further columns; `# key: value` lines before are metadata."""
+    """`uplink_ms,downlink_ms` and further columns, after `# key: value` lines of metadata."""
     metadata: dict[str, Any] = {}
     rows: list[tuple[int, int]] = []
     further: list[list[float]] = []

@@ -1,8 +1,8 @@
-"""What a profile's delays are like: quantiles, outages, memory.
+"""Statistics of a profile's delays: quantiles, outages, memory.
 
-An outage is a stretch of messages that took longer than `OUTAGE_MS` and than twice the median, or
-were lost: far above the base delay and its retransmissions, and what a controller notices. Its peak
-is the longest delay in it.
+Here an outage is a run of messages that were lost, or took longer than both `OUTAGE_MS` and twice
+the median. Such delays are far above the base delay with its retransmissions, and a controller
+notices them. The peak of an outage is the longest delay in it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _QUANTILES = (0.5, 0.9, 0.99, 0.999)
 
 @dataclass(frozen=True)
 class ObservedOutage:
-    """Messages `first` to `last`, both caught; `peak_ms` is inf if all of them were lost."""
+    """An outage of messages `first` to `last`, both included. `peak_ms` is inf if all are lost."""
 
     first: int
     last: int
@@ -29,19 +29,19 @@ class ObservedOutage:
 
     @property
     def messages(self) -> int:
-        """How many it caught."""
+        """The number of messages in the outage."""
         return self.last - self.first + 1
 
 
 @dataclass(frozen=True)
 class DelayStatistics:
-    """Of one link over one or several profiles; [ms] unless said.
+    """Statistics of one link over one or several profiles; [ms] unless another unit is given.
 
-    `median`, `q90`, `q99`, `q999`, `maximum` of the delays that were not lost; `lost` the fraction
-    that were; `outages_per_second` [1/s]; `peak_median`, `peak_q90` over the outages, and
-    `duration_median`, `duration_maximum` of the time they lasted; `lost_maximum` is the longest run
-    of losses [ms]; `memory` is the lag at which the autocorrelation of
-    the delay has fallen to 1/e. NaN for what does not exist.
+    `median`, `q90`, `q99`, `q999` and `maximum` are those of the delays that were not lost. `lost`
+    is the fraction of messages lost. `outages_per_second` is in [1/s]. `peak_median` and `peak_q90`
+    are over the outages, `duration_median` and `duration_maximum` over their durations.
+    `lost_maximum` is the longest run of losses [ms]. `memory` is the lag at which the
+    autocorrelation of the delay has fallen to 1/e. A value that does not exist is NaN.
     """
 
     median: float
@@ -62,7 +62,7 @@ class DelayStatistics:
 def delays_ms(profile: DelayProfile, link: str) -> np.ndarray:
     """One-way delays, or the round trip of each message, [ms] (n,); inf for a lost one.
 
-    A round trip is the message up, and the answer sent the moment it arrives.
+    A round trip is the delay of the message up plus that of an answer sent at its arrival.
     """
     ways = np.where(profile.delays_ns == LOST, np.inf, profile.delays_ns * 1e-6)
     up: np.ndarray = ways[UPLINK]
@@ -92,13 +92,13 @@ def outages(delays: np.ndarray) -> list[ObservedOutage]:
 
 
 def longest_run(marked: np.ndarray) -> int:
-    """How many marks there are in a row at most."""
+    """The length of the longest run of marks."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
     return int(np.diff(edges.reshape(-1, 2)).max(initial=0))
 
 
 def statistics(profiles: Sequence[DelayProfile], link: str) -> DelayStatistics:
-    """Of all profiles together; `link` is one of `LINKS`."""
+    """The statistics of all profiles together. `link` is one of `LINKS`."""
     series = [delays_ms(profile, link) for profile in profiles]
     periods_ms = [profile.period_ns * 1e-6 for profile in profiles]
     every = np.concatenate(series)
@@ -133,13 +133,16 @@ def statistics(profiles: Sequence[DelayProfile], link: str) -> DelayStatistics:
 
 
 def autocorrelation(series: Sequence[np.ndarray], lags: int) -> np.ndarray:
-    """Of the delay over lags 0 … `lags` − 1, pooled over series of one period; lost as the last."""
+    """The autocorrelation of the delay over lags 0 … `lags` − 1, pooled over series of one period.
+
+    A lost message has the delay of the one before it.
+    """
     filled = [_filled(each) for each in series]
     mean = np.concatenate(filled).mean()
     products, counts = np.zeros(lags), np.zeros(lags)
     for each in filled:
         n = len(each)
-        # By the Wiener–Khinchin theorem, with as many zeros as keep the ends apart.
+        # The Wiener–Khinchin theorem. The zeros keep the ends of the series apart.
         spectrum = np.fft.rfft(each - mean, 2 * n)
         known = min(lags, n)
         products[:known] += np.fft.irfft(np.abs(spectrum) ** 2)[:known]
@@ -155,7 +158,7 @@ def _memory(series: Sequence[np.ndarray], periods_ms: Sequence[float]) -> float:
 
 
 def _filled(delays: np.ndarray) -> np.ndarray:
-    """Lost messages as the delay before them."""
+    """The delays with each lost message at the delay before it, or at 0 without one."""
     passed = np.isfinite(delays)
     index = np.maximum.accumulate(np.where(passed, np.arange(len(delays)), 0))
     return np.where(np.isfinite(delays[index]), delays[index], 0.0)

@@ -45,7 +45,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Finding:
-    """A broken rule: what to do about it, and the words."""
+    """A broken rule: the advice, and the words."""
 
     text: Text
     advice: str
@@ -56,7 +56,7 @@ class Finding:
 
 
 def findings(text: Text) -> Iterator[Finding]:
-    """Every rule that a text breaks."""
+    """The findings in a text, one for each rule that it breaks."""
     words = _without_code(text.words)
     if text.docstring and (first := words.split()[:1]) and first[0].strip(",:;.") in CLAUSES:
         yield Finding(text, "begin with a verb or a noun", _short(words))
@@ -131,7 +131,7 @@ def _of_module(name: str, tree: ast.Module) -> Iterator[Text]:
 
 
 def _literal(node: ast.AST) -> str:
-    """The constant words of a string; `…` for what is computed."""
+    """The constant words of a string, with `…` for each computed part."""
     if isinstance(node, ast.Constant):
         return node.value if isinstance(node.value, str) else "…"
     if isinstance(node, ast.JoinedStr):
@@ -157,7 +157,7 @@ def _short(words: str) -> str:
 
 
 def main() -> int:
-    """Print what breaks a rule; 1 if anything does. Arguments: files, else all of the project."""
+    """Print the findings. Return 1 if there are any. Arguments: files, else the whole project."""
     found = [each for text in texts(sys.argv[1:] or tracked()) for each in findings(text)]
     print(*found, sep="\n" if found else "", end="\n" if found else "")
     return int(bool(found))

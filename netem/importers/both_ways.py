@@ -1,4 +1,4 @@
-"""The files of both ways of a link, read together; or one, and what is said of the other way."""
+"""The files of both ways of a link, or one file and the user's word on the other way."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _WAY = re.compile(
 def files_by_way(
     inputs: list[Path], uplink: Path | None, downlink: Path | None
 ) -> dict[int | None, Path]:
-    """The files by direction; None for one that may be of either."""
+    """The files by direction. The key None has a file that may be of either direction."""
     named: dict[int | None, Path] = {}
     for direction, path in ((UPLINK, uplink), (DOWNLINK, downlink)):
         if path is not None:
@@ -56,7 +56,7 @@ def way_in_name(path: Path) -> int | None:
 def read_both_ways(
     files: dict[int | None, Path], formats: list[Format], other_way: str | None, options: Options
 ) -> tuple[Measured, int | None]:
-    """What the files say of both ways, and the delay of a way that no file has [ns]."""
+    """The measurement of both ways, and the constant delay of a way without a file [ns]."""
     paths = list(files.values())
     if PCAP in formats:
         if len(paths) != 2 or formats[0] != formats[1]:
@@ -89,7 +89,7 @@ def _completed(
     other_way: str | None,
     options: Options,
 ) -> tuple[Measured, int | None]:
-    """With the way that is missing."""
+    """Add the missing way. Return the measurement, and its constant delay [ns] if it has one."""
     path = next(iter(files.values()))
     known = UPLINK if measured.ways[DOWNLINK] is None else DOWNLINK
     if other_way is None and not each.either_way:

@@ -35,7 +35,7 @@ _File = io.BufferedReader | gzip.GzipFile
 
 
 class Frame(NamedTuple):
-    """A frame as it was captured; `where` it stands in the file."""
+    """A frame as it was captured. `where` is its place in the file."""
 
     time_ns: int
     link: int
@@ -44,7 +44,7 @@ class Frame(NamedTuple):
 
 
 class _Interface(NamedTuple):
-    """Its link type, units of time to a second, and seconds to add."""
+    """An interface of a capture: its link type, units of time to a second, and seconds to add."""
 
     link: int
     per_second: int
@@ -52,12 +52,12 @@ class _Interface(NamedTuple):
 
 
 def is_capture(start: bytes) -> bool:
-    """Whether a file that begins so is a capture, classic or pcapng."""
+    """Return whether a file with this beginning is a capture, classic or pcapng."""
     return start[:4] in _MAGICS or start[:4] == _SECTION.to_bytes(4, "big")
 
 
 def frames(path: Path) -> Iterator[Frame]:
-    """The frames of a capture; `ProfileError` with the record or block that is wrong."""
+    """The frames of a capture. `ProfileError` names the record or block that is wrong."""
     with opened(path) as file:
         magic = file.read(4)
         if magic == _SECTION.to_bytes(4, "big"):
@@ -117,7 +117,7 @@ def _pcapng(path: Path, file: _File) -> Iterator[Frame]:
 
 
 def _block(path: Path, file: _File, where: str, kind: bytes, order: str) -> tuple[int, bytes]:
-    """The length of a block and what is in it."""
+    """The length [bytes] and the content of a block."""
     head = file.read(4)
     if kind == _SECTION.to_bytes(4, "big"):
         magic = file.read(4)

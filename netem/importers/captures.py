@@ -1,11 +1,12 @@
 """One-way delays from two captures of the same packets, one at either end of the link.
 
-A packet is known again by its addresses, protocol, IP identification, fragment offset, length and
-as much of its payload as both captures hold of each. Identifications are used again after a while,
-so that two captures of one packet may be 30 s apart. Packets that have all this in common within
-that time are taken in order if none of them is missing; if one is, nobody can tell which, and they
-are refused. A datagram has arrived with its last fragment and is lost if any of them is. Addresses
-must be the same at both ends: a translation of addresses between them hides every packet.
+Addresses, protocol, IP identification, fragment offset, length and payload identify a packet. Of
+each payload the importer compares the bytes that both captures hold. A sender uses an
+identification again after a while, so two captures of one packet may be at most 30 s apart.
+Packets that agree in all this within that time are paired in order if none of them is missing. If
+one is missing, the captures do not tell which, and the importer refuses them. A datagram arrives
+with its last fragment, and is lost if any fragment is lost. Addresses must be the same at both
+ends. A translation of addresses between the ends hides every packet.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _Flow = tuple[bytes, bytes]
 
 @dataclass
 class _Datagram:
-    """A datagram at its sender; it arrives with the last of its fragments, if none is lost."""
+    """A datagram at its sender. It arrives with the last of its fragments, if none is lost."""
 
     sent_ns: int
     arrived_ns: int
@@ -51,7 +52,7 @@ class _Datagram:
 
 
 def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measured:
-    """Both ways, or the one of which both captures have packets."""
+    """The measurement of both ways, or of the one way of which both captures have packets."""
     held = {path: held_of_each(path) for path in (robot_side, edge_side)}
     compared = min(held.values())
     near, far = (_read(path, compared) for path in (robot_side, edge_side))
@@ -104,7 +105,7 @@ def _read(path: Path, compared: int) -> list[Packet]:
 def _matched(
     near: list[Packet], far: list[Packet], files: str, compared: int
 ) -> tuple[list[Packet | None], list[Packet | None]]:
-    """For each packet of either capture the same packet in the other one."""
+    """The same packet in the other capture, for each packet of either; None without one."""
     of_near: list[Packet | None] = [None] * len(near)
     of_far: list[Packet | None] = [None] * len(far)
     places: dict[bytes, tuple[list[int], list[int]]] = defaultdict(lambda: ([], []))
@@ -128,7 +129,7 @@ def _matched(
 
 
 def _repeated(side: list[Packet], places: list[int]) -> bool:
-    """Whether one packet follows another one so soon that their captures may be mixed up."""
+    """Return whether two of the packets are too close in time to tell their captures apart."""
     times = [side[place].time_ns for place in places]
     return any(after - before <= _APART_NS for before, after in itertools.pairwise(times))
 
@@ -148,12 +149,12 @@ def _in_turn(
 
 
 def _in_bytes(compared: int) -> str:
-    """How much of a payload is compared, in words."""
+    """The compared part of a payload, in words."""
     return "whole payloads" if compared >= WHOLE else f"the first {compared} bytes of payloads"
 
 
 def _directions(shifts: dict[_Flow, list[int]], robot: str | None, files: str) -> dict[_Flow, int]:
-    """Which way each flow goes: by the robot's address, or by where it was seen first."""
+    """The direction of each flow, by the robot's address or by the capture that saw it first."""
     if robot is not None:
         try:
             address = ipaddress.ip_address(robot).packed
@@ -198,9 +199,9 @@ def _way(
             one.last |= packet.last
         if packet.last:
             open_ones.pop(packet.datagram, None)
-    # Cut off by the capture's end: nobody knows the rest of it.
+    # A datagram without its last fragment: the capture ended before the rest of it.
     known = [one for one in datagrams if one.last]
-    # What was sent before the other capture began was not lost.
+    # A datagram sent before the other capture began is not a loss.
     first = next((k for k, one in enumerate(known) if not one.lost), 0)
     known = known[first:]
     way = ordered(

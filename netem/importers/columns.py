@@ -1,4 +1,4 @@
-"""Columns of tables: which ones a user means, and what a cell of them says."""
+"""Columns of tables: the columns that a user names, and the values of their cells."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LOST = frozenset(
 
 @dataclass(frozen=True)
 class Place:
-    """Where a value stands: one column or several in one, and how many ns their units have."""
+    """The columns that hold a value, one or several put together, and their units [ns]."""
 
     at: tuple[int, ...]
     units_ns: tuple[int | None, ...]
@@ -30,9 +30,10 @@ class Place:
 
 @dataclass
 class Read:
-    """Values [ns] by meaning, `LOST_NS` where lost; `rows` says where each stands, `ids` which.
+    """Values [ns] by meaning, `LOST_NS` for a lost packet.
 
-    `units_ns` of those that are numbers of a unit.
+    `rows` has the place of each value in the file, `ids` the ids of the packets. `units_ns` has the
+    unit [ns] of each meaning whose values are numbers.
     """
 
     values: dict[str, np.ndarray]
@@ -43,7 +44,7 @@ class Read:
 
 
 def found_in(name: str, names: list[str]) -> list[int]:
-    """Where a column is, or the several that `+` puts together; empty if one is missing."""
+    """The indices of a column, or of several columns joined by `+`; empty if one is missing."""
     lower = [each.lower() for each in names]
     bared = [bare(each) for each in lower]
     for parts in ([name], name.split("+")):
@@ -61,7 +62,7 @@ def found_in(name: str, names: list[str]) -> list[int]:
 def place_of(
     path: Path, where: str, name: str, names: list[str], unit: str | None, first: list[str]
 ) -> Place:
-    """Where a column is, and how many ns its unit has."""
+    """The place of a column, with its unit [ns]."""
     at = found_in(name, names)
     parts = name.split("+") if len(at) != 1 else [name]
     if not names:
@@ -112,7 +113,7 @@ def value_ns(
 
 
 def is_lost(cell: str, options: Options) -> bool:
-    """Whether a delay says that there is none."""
+    """Return whether the cell of a delay stands for a lost packet."""
     if cell.lower() in _LOST or cell == options.lost:
         return True
     if options.lost is None:

@@ -1,13 +1,14 @@
 """Distributions of a delay, without its order in time: tables of tc-netem, and histograms.
 
-netem: whole numbers, 8192 to a standard deviation; a delay is DELAY + JITTER · x / 8192, and none
-is negative. Successive draws may be correlated: z_k = ρ z_{k−1} + √(1 − ρ²) ε_k, and x is the table
-at the quantile of z_k. (The kernel mixes uniform numbers instead, which narrows the distribution.)
+netem: whole numbers, 8192 to a standard deviation. A delay is DELAY + JITTER · x / 8192, or 0 where
+that is negative. Successive draws may be correlated: z_k = ρ z_{k−1} + √(1 − ρ²) ε_k, and x is the
+table at the quantile of z_k. (The kernel mixes uniform numbers instead, which narrows the
+distribution.)
 
-Histogram: XML as the DETERMINISTIC6G simulator reads it, `<bin low="1.5ms">count</bin>`, each bin
-up to the next one's low; or lines of a bin's low in ms and its count.
+Histogram: XML as the DETERMINISTIC6G simulator reads it, `<bin low="1.5ms">count</bin>`. Each bin
+reaches up to the next one's low. Or lines of a bin's low in ms and its count.
 
-No draw has outages: they are many late messages in a row, and that is what a distribution forgets.
+No draw has outages. An outage is many late messages in a row, and a distribution has no order.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _BIN = re.compile(
 
 
 def read_netem_table(path: Path, options: Options, direction: int) -> Measured:
-    """Delays drawn from a table; `ProfileError` with the line that is wrong."""
+    """Delays drawn from a table. `ProfileError` names the line that is wrong."""
     if options.delay_ns is None or options.jitter_ns is None:
         raise ProfileError(
             f"{path}: a table of tc-netem: expected its mean and its standard deviation, as in "
@@ -48,7 +49,7 @@ def read_netem_table(path: Path, options: Options, direction: int) -> Measured:
             raise wrong(path, f"line {line}", f"at most {_MAX_TABLE} numbers", text)
     if len(table) < 2:
         raise ProfileError(f"{path}: expected the numbers of a netem table, got {len(table)}")
-    # Slow to import, and every other command of netem would wait for it.
+    # scipy.signal is slow to import, and the other commands of netem do not need it.
     from scipy.signal import lfilter
     from scipy.special import ndtr
 
@@ -69,7 +70,7 @@ def read_netem_table(path: Path, options: Options, direction: int) -> Measured:
 
 
 def read_histogram(path: Path, options: Options, direction: int) -> Measured:
-    """Delays drawn from a histogram; `ProfileError` with the line that is wrong."""
+    """Delays drawn from a histogram. `ProfileError` names the line that is wrong."""
     lows, counts = [], []
     for line, text in content_lines(path):
         where = f"line {line}"
@@ -113,7 +114,7 @@ def _two_columns(path: Path, where: str, text: str) -> list[tuple[str, str, str]
 
 
 def _is_frame(text: str) -> bool:
-    """What surrounds the bins."""
+    """Return whether a text is markup around the bins, or blank."""
     return re.fullmatch(r"(<\?[^>]*>|<!--[^>]*-->|</?histograms?[^>]*>|\s)*", text) is not None
 
 

@@ -1,9 +1,9 @@
-"""Flent's data files, `.flent.gz`: of each series of pings, a number, a time and a round trip [ms].
+"""Flent's data files, `.flent.gz`: number, time and round trip [ms] of each ping of a series.
 
     {"metadata": …, "raw_values": {"Ping (ms) ICMP": [{"seq": 1, "t": 1436735904.4, "val": 50.1}, …
 
-The time is that of the reply, and a number that is missing is a loss, as in a log of `ping -D`.
-Series without numbers are means over a step, and are not read.
+The time is that of the reply. A missing number is a loss, as in a log of `ping -D`. Series without
+numbers are means over a step, and the importer ignores them.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ _KEYS = {"seq", "t", "val"}
 
 
 def is_flent(path: Path, start: str) -> bool:
-    """Whether a file that begins so is Flent's."""
+    """Return whether a file with this beginning is Flent's."""
     return start.lstrip("\ufeff \r\n\t").startswith("{") and (
         ".flent" in path.name or '"x_values"' in start or '"DATA_FILENAME"' in start
     )
 
 
 def read_flent(path: Path, options: Options, direction: int) -> Measured:
-    """Both ways, half the round trip each; `ProfileError` with the value that is wrong."""
+    """Both ways, half the round trip each. `ProfileError` names the value that is wrong."""
     document = json_document(path, "Flent")
     raw = document.get("raw_values") if isinstance(document, dict) else None
     series = (

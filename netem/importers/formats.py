@@ -1,4 +1,4 @@
-"""The formats by name, and which one a file has by what is in it."""
+"""The formats by name, and the format of a file by its content."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from netem.profile_file import CSV_HEADER
 from shared.errors import ProfileError
 
 _HEAD_BYTES = 1 << 16
-# What every measurement of single packets takes.
+# The options of every measurement of single packets.
 _PACKETS = ("pause", "lone_loss", "period")
 Read = Callable[[Path, Options, int], Measured]
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format; `read` is None for the project's own and for captures, which come in pairs.
+    """A file format. `read` is None for the project's own format and for captures (in pairs).
 
-    `options` are the flags that it takes; of a file that serves `either_way` one is enough.
+    `options` are the flags that it takes. With `either_way`, one file serves both ways.
     """
 
     name: str
@@ -82,7 +82,7 @@ FORMATS = (
 
 
 def format_named(name: str) -> Format:
-    """The format of that name; `ProfileError` with all names if there is none."""
+    """The format of that name. `ProfileError` lists all names if the name is unknown."""
     for each in FORMATS:
         if each.name == name:
             return each
@@ -92,7 +92,7 @@ def format_named(name: str) -> Format:
 
 
 def format_of(path: Path, options: Options) -> Format:
-    """The format of a file; `ProfileError` if its content is like none."""
+    """The format of a file. `ProfileError` if its content matches no format."""
     return format_named(_name(path, options))
 
 

@@ -1,8 +1,8 @@
-"""What `irtt client -o FILE.json` writes: round trips, and one-way delays by the ends' clocks [ns].
+"""The file of `irtt client -o FILE.json`: round trips, and one-way delays by two clocks [ns].
 
-`lost` is a string, "false", "true", "true_up" or "true_down" (a truth value in some versions), and
-a delay that is not known has no key. A packet lost on the way up was never sent down; of one lost
-on the way down, the delay up is not known.
+`lost` is a string, "false", "true", "true_up" or "true_down" (a truth value in some versions). An
+unknown delay has no key. A packet lost on the way up was never sent down. If a packet is lost on
+the way down, its delay up is unknown.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ HALF_NOTE = "round trips: half of each taken for either way"
 
 
 def is_irtt(start: str) -> bool:
-    """Whether a file that begins so is irtt's."""
+    """Return whether a file with this beginning is irtt's."""
     return start.lstrip("\ufeff \r\n\t").startswith("{") and (
         '"irtt"' in start or '"round_trips"' in start
     )
 
 
 def read_irtt(path: Path, options: Options, direction: int) -> Measured:
-    """Both ways; `ProfileError` with the round trip that is wrong."""
+    """The measurement of both ways. `ProfileError` names the round trip that is wrong."""
     document = json_document(path, "irtt")
     trips = document.get("round_trips") if isinstance(document, dict) else None
     if not isinstance(trips, list) or not trips:
@@ -54,7 +54,7 @@ def read_irtt(path: Path, options: Options, direction: int) -> Measured:
         return Measured(ways, notes, {"split": "one-way"}, two_clocks=True)
     _need_round_trips(path, rows)
     trip = np.array([row["rtt"] or 0 for row in rows])
-    # Each half without the packets of which nothing is known there.
+    # Each half leaves out the packets whose fate on that way is unknown.
     up, _ = _halved(lost != "true_down", sent, trip, lost, traffic)
     _, down = _halved(lost != "true_up", sent, trip, lost, traffic)
     up, down = _with_unknown((up, down), sent, lost)
@@ -72,7 +72,7 @@ def _halved(
 
 
 def _with_unknown(ways: tuple[Way, Way], sent: np.ndarray, lost: np.ndarray) -> tuple[Way, Way]:
-    """Either way with the times of the packets that were lost on the other one."""
+    """Both ways, each with the times of the packets that were lost on the other way."""
     up, down = ways
     return (
         replace(up, unknown_ns=sent[lost == "true_down"]),
@@ -84,7 +84,7 @@ def _ways(
     rows: list[dict[str, Any]], sent: np.ndarray, how: np.ndarray, traffic: dict[str, Any]
 ) -> tuple[Way, Way]:
     passed = [k for k, row in enumerate(rows) if row["lost"] == "false"]
-    # Of a packet that was lost nobody noted when it turned round: as the others did, in the median.
+    # The file has no time at which a lost packet turned round: take the median of the others.
     usual = int(np.median([rows[k]["send"] for k in passed])) if passed else 0
     up, down = (array("q"), array("q"), array("b")), (array("q"), array("q"), array("b"))
     for row, at in zip(rows, sent.tolist(), strict=True):
@@ -105,7 +105,7 @@ def _append(way: tuple[array[int], ...], sent: int, delay: int | None, lost: str
 
 
 def _row(path: Path, k: int, trip: Any) -> dict[str, Any]:
-    """`lost`, delays `send`, `receive`, `rtt` and times of sending [ns]; None if unknown."""
+    """The fields of a round trip: `lost`, `send`, `receive`, `rtt`, sending times [ns] or None."""
     where = f"round trip {k}"
     lost = str(_at(trip, "lost")).lower()
     if lost not in _LOST:
@@ -134,7 +134,7 @@ def _need_round_trips(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def _sending_times(path: Path, rows: list[dict[str, Any]], interval: Any) -> np.ndarray:
-    """By the client's clock, or else by the numbers and the interval [ns]."""
+    """The sending times [ns] by the client's clock, or else by the numbers and the interval."""
     for clock in ("monotonic", "wall"):
         times = [row[clock] for row in rows]
         if None not in times:

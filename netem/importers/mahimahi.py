@@ -1,13 +1,14 @@
-"""Traces of what a link could carry: Mahimahi, and the packet trains of CellReplay.
+"""Traces of a link's capacity: Mahimahi, and the packet trains of CellReplay.
 
-Mahimahi: one whole millisecond per line, each an opportunity to carry 1500 bytes; the trace begins
-again at its last time. Bytes of several packets share an opportunity, and one that finds nothing
-to carry is lost. With C(t) the bytes that could be carried until t, message m of L bytes sent at
-a_m has left when C reaches F_m = max(F_{m-1}, C(a_m)) + L, which is D(t) = min over s ≤ t of
-A(s) + C(t) − C(s), message by message. What would overfill the queue is lost.
+Mahimahi: one whole millisecond per line. Each line is an opportunity to carry 1500 bytes. The
+trace begins again at its last time. Bytes of several packets share an opportunity. An opportunity
+that finds no bytes is wasted. C(t) is the number of bytes that the link could carry until t.
+Message m of L bytes, sent at a_m, has left when C reaches F_m = max(F_{m-1}, C(a_m)) + L.
+Message by message this is D(t) = min over s ≤ t of A(s) + C(t) − C(s). A message that would
+overfill the queue is lost.
 
-CellReplay: `time_ms base_delay_ms p0 p1 …` per line: a train of packets sent at that time, the
-first under way for the base delay, the k-th one arriving p_k ms after it.
+CellReplay: `time_ms base_delay_ms p0 p1 …` per line. A train of packets is sent at that time. The
+first packet is under way for the base delay. Packet k arrives p_k ms after the first.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _AT_LEAST_MS = 10_000
 
 
 def read_mahimahi(path: Path, options: Options, direction: int) -> Measured:
-    """The delays that a load would meet; `ProfileError` with the line that is wrong."""
+    """The delays that a load would meet. `ProfileError` names the line that is wrong."""
     if options.load is None:
         raise ProfileError(
             f"{path}: opportunities to carry 1500 bytes, without delays: expected the load whose "
@@ -43,7 +44,7 @@ def read_mahimahi(path: Path, options: Options, direction: int) -> Measured:
     load, times = options.load[direction], _opportunities(path, options)
     cycle = int(times[-1])
     carried = np.cumsum(np.bincount(times)) * _OPPORTUNITY_BYTES
-    # One pass, or as many as make ten seconds.
+    # One pass, or enough passes for ten seconds.
     duration_ns = options.duration_ns or -(-_AT_LEAST_MS // cycle) * cycle * _MS
     check_span(path, duration_ns, options.period_ns)
     sent = _sending_times(path, load, duration_ns)
@@ -74,7 +75,7 @@ def read_mahimahi(path: Path, options: Options, direction: int) -> Measured:
 
 
 def read_cellreplay(path: Path, options: Options, direction: int) -> Measured:
-    """The delay of a message in place of each train; `ProfileError` with the line that is wrong."""
+    """The delay of a message in place of each train. `ProfileError` names the wrong line."""
     load = options.load[direction] if options.load else None
     packets = -(-load.size // _TRAIN_PACKET_BYTES) if load else 1
     times, delays, longer = array("q"), array("q"), 0
@@ -110,7 +111,7 @@ def _opportunities(path: Path, options: Options) -> np.ndarray:
     times = array("q")
     last = 0
     for line, text in content_lines(path):
-        # Wrong lines are rare and there are millions: say where only then.
+        # A trace has millions of lines, and few are wrong: make the place only for an error.
         digits = text.strip()
         time = int(digits) if digits.isdecimal() and len(digits) <= _DIGITS else -1
         if not last <= time <= MAX_PERIODS:
@@ -143,7 +144,7 @@ def _finish(
 ) -> np.ndarray:
     """F of each message [bytes that could be carried since the start]; −1 where it is lost."""
     total = int(carried[-1])
-    # Opportunities of the very millisecond of sending have passed.
+    # The opportunities of the millisecond of sending have passed.
     passed = (sent_ms // cycle * total + carried[sent_ms % cycle]).tolist()
     finish = np.full(len(passed), -1, dtype=np.int64)
     last = 0
@@ -156,7 +157,7 @@ def _finish(
 
 
 def _capacity(times: np.ndarray, cycle: int, until_ms: int) -> Series:
-    """Bytes of the opportunities of all passes before `until_ms`."""
+    """The bytes of the opportunities of all passes before `until_ms`, one value per ms."""
     once = np.bincount(times, minlength=cycle + 1) * float(_OPPORTUNITY_BYTES)
     every = np.arange(max(until_ms, 1))
     capacity = once[every % cycle]

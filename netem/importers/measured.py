@@ -1,7 +1,7 @@
-"""What a measurement says of a link before it is a profile: packets, when sent, how long under way.
+"""A measurement of a link before it is a profile: the packets, their sending times and delays.
 
 The two ends of a link have two clocks. With θ = clock of the edge − clock of the robot, one-way
-delays read as up + θ and down − θ: their sum is right, and one of them may come out negative.
+delays read as up + θ and down − θ. Their sum is right, but one of them may be negative.
 `with_one_clock` takes θ from the assumption that the shortest delays of both ways are equal.
 """
 
@@ -21,11 +21,11 @@ UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "µs": 1_000, "μs
 
 @dataclass(frozen=True)
 class Way:
-    """Packets of one way in the order of sending, (n,) each; `delay_ns` means nothing if `lost`.
+    """Packets of one way in the order of sending, (n,) each. A lost packet's `delay_ns` is unused.
 
-    `message_bytes` and `rate_hz` describe the traffic measured with, None where unknown.
-    `unknown_ns` is when packets were sent of which nothing is known on this way. `counts` is how
-    many packets were sent and lost, if those here are not one each.
+    `message_bytes` and `rate_hz` describe the traffic of the measurement, None where unknown.
+    `unknown_ns` has the sending times of packets whose fate on this way is unknown. `counts` is the
+    numbers of packets sent and lost, if an entry here does not stand for one packet.
     """
 
     sent_ns: np.ndarray
@@ -38,13 +38,13 @@ class Way:
 
     @property
     def counted(self) -> tuple[int, int | None]:
-        """How many packets were sent, and how many of them were lost; None if nobody knows."""
+        """The numbers of packets sent and of packets lost. The second is None if unknown."""
         return self.counts or (len(self.sent_ns), int(self.lost.sum()))
 
 
 @dataclass(frozen=True)
 class Series:
-    """A further quantity over the time of the packets; a period has their sum, or their mean."""
+    """A further quantity over the time of the packets. A period takes its sum, or its mean."""
 
     time_ns: np.ndarray
     values: np.ndarray
@@ -53,10 +53,10 @@ class Series:
 
 @dataclass(frozen=True)
 class Measured:
-    """What one file, or a pair, says: `ways` uplink and downlink, None where it says nothing.
+    """The measurement in one file or a pair. `ways` is uplink and downlink, None if not measured.
 
-    `notes` are the assumptions made, in sentences for the user. `two_clocks` if a one-way delay is
-    the difference between the clocks of the two ends, and may come out negative.
+    `notes` are the assumptions made, in sentences for the user. `two_clocks` tells whether a
+    one-way delay is a difference between the clocks of the two ends, which may be negative.
     """
 
     ways: tuple[Way | None, Way | None]
@@ -87,7 +87,7 @@ def ordered(
 
 
 def without_unfinished(way: Way, end_ns: int) -> tuple[Way, int]:
-    """Without the packets that may still have been under way at `end_ns`, and how many they were.
+    """Leave out the packets that may still be under way at `end_ns`. Return their number too.
 
     A packet that never arrived is lost only if the record goes on for longer than the longest
     delay in it.
@@ -101,7 +101,7 @@ def without_unfinished(way: Way, end_ns: int) -> tuple[Way, int]:
 
 
 def stepped_back_note(times_ns: np.ndarray) -> tuple[str, ...]:
-    """What to say of times that are not in order as they were written down."""
+    """A note for the user on times that step back in the order of the file; empty if none do."""
     steps = np.diff(times_ns)
     back = steps[steps < 0]
     if not len(back):
@@ -115,14 +115,14 @@ def stepped_back_note(times_ns: np.ndarray) -> tuple[str, ...]:
 
 
 def unfinished_note(count: int) -> tuple[str, ...]:
-    """What to say of packets that `without_unfinished` left out."""
+    """A note for the user on the packets that `without_unfinished` left out."""
     if not count:
         return ()
     return (f"{count} packets left out that may still have been under way when the record ended",)
 
 
 def with_one_clock(measured: Measured, *, clock: str | None, name: str) -> Measured:
-    """By the robot's clock only; `ProfileError` if the clocks plainly disagree."""
+    """The measurement by the robot's clock. `ProfileError` if the clocks plainly disagree."""
     if not measured.two_clocks and clock != "offset":
         return measured
     up, down = measured.ways
@@ -165,9 +165,9 @@ def _shortest(way: Way) -> int:
 
 
 def halved(sent_ns: Any, round_trip_ns: Any, lost: Any, **traffic: Any) -> tuple[Way, Way]:
-    """Both ways of round trips, half the time each; one that is lost is lost on both ways.
+    """Both ways of round trips, half the time each. A lost round trip is lost on both ways.
 
-    Both at the time of sending: when the answer was sent is as unknown as the halves.
+    Both halves stand at the time of sending. The sending time of the reply is unknown.
     """
     trip = np.asarray(round_trip_ns, dtype=np.int64)
     return (

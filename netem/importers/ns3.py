@@ -1,15 +1,17 @@
 """Delays that ns-3 writes per bearer: mmWave and LENA `*PdcpStats`, `*RlcStats`, 5G-LENA `Nr*`.
 
-Four shapes, told apart by their header, two of them under one name (attribute `AggregatedStats`):
+The header tells four shapes apart. Two of them share a name (attribute `AggregatedStats`).
 
     % start end CellId IMSI RNTI LCID nTxPDUs … delay stdDev min max …    per epoch, delay in s
+
     TYPE TIME CellId IMSI RNTI LCID SIZE DELAY    Tx and Rx events, time in s, delay in ns
+
     time(s) cellId rnti lcid packetSize delay(s)  receptions
     time(s) cellId rnti lcid packetSize           sendings, beside receptions
 
-A reception tells the time of sending, TIME − DELAY. A Tx event, or a sending, of a time at which no
-reception was sent is a loss; the times have six digits. Data are on the bearers LCID ≥ 3. The PDCP
-delay is that of the radio link: the core network and the hosts' links are not in it.
+A reception gives the time of sending, TIME − DELAY. A Tx event, or a sending, without a reception
+of that sending time is a loss. The times have six digits. Data are on the bearers LCID ≥ 3. The
+PDCP delay is that of the radio link, without the core network and the hosts' links.
 """
 
 from __future__ import annotations
@@ -42,18 +44,18 @@ _S = UNITS_NS["s"]
 
 
 def is_ns3(line: str) -> bool:
-    """Whether a file that begins with this line is one of these."""
+    """Return whether a file with this first line has one of the four shapes."""
     return layout(line) is not None
 
 
 def is_ns3_sendings(line: str) -> bool:
-    """Whether a file that begins with this line has sendings only."""
+    """Return whether a file with this first line has sendings only."""
     found = layout(line)
     return found is not None and found.shape == SENDING
 
 
 def read_ns3(path: Path, options: Options, direction: int) -> Measured:
-    """The packets of one way; `ProfileError` with the line that is wrong."""
+    """The packets of one way. `ProfileError` names the line that is wrong."""
     line, header = next(content_lines(path), (1, ""))
     found = layout(header)
     if found is None:
@@ -137,7 +139,7 @@ def _receptions(path: Path, options: Options, direction: int) -> Measured:
 
 
 def _sibling(path: Path) -> Path | None:
-    """The sendings beside a file of receptions, by its name."""
+    """The file of sendings that belongs by name to a file of receptions; None without one."""
     sibling = path.with_name(path.name.replace("Rx", "Tx"))
     there = sibling != path and sibling.is_file() and is_ns3_sendings(first_line(sibling))
     return sibling if there else None
@@ -157,7 +159,7 @@ def _missing(
     origins: Mapping[int, list[int]],
     untimed: Mapping[int, list[int]],
 ) -> list[int]:
-    """The times of sending of what did not arrive, all by size [ns]."""
+    """The sending times of the PDUs that did not arrive [ns]. The arguments are by size."""
     return [
         time
         for size, times in sendings.items()
@@ -168,10 +170,10 @@ def _missing(
 
 
 def _unanswered(sendings: list[int], origins: list[int], untimed: list[int]) -> list[int]:
-    """The times of sending of which there is no reception; all of one size, in order [ns].
+    """The sending times without a reception; all of one size, in order [ns].
 
-    `origins` are the times of sending of what was received. What RLC sends for itself or a second
-    time is received without one, at the times `untimed`: it is what was last sent before.
+    `origins` are the sending times of the PDUs received. RLC's own PDUs and retransmissions arrive
+    without a sending time, at the times `untimed`. Each is the PDU last sent before.
     """
     missing = []
     j = 0

@@ -1,8 +1,9 @@
 """Sums over epochs, as ns-3 writes them per bearer: PDUs sent, PDUs received and their mean delay.
 
-A PDU that is received in an epoch may have been sent in an earlier one, and in short epochs most
-are. So those received in an epoch of mean delay d belong to the epochs in which PDUs were sent d
-before, as many as each still misses. An epoch that misses all of its PDUs is lost.
+A PDU received in an epoch may have been sent in an earlier one. In short epochs most are. So the
+PDUs received in an epoch of mean delay d belong to the epochs that sent PDUs a time d before. Each
+such epoch takes at most the PDUs that it still misses. An epoch that misses all of its PDUs is
+lost.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from netem.importers.source import nanoseconds, whole, wrong
 from shared.errors import ProfileError
 
 _S = UNITS_NS["s"]
-# So many epochs may wait for their PDUs.
+# The maximum number of epochs that wait for their PDUs.
 _WAITING = 500
 
 
 @dataclass
 class _Epoch:
-    """Times [ns]; of what was sent in it `arrived` PDUs were `waited` ns under way altogether."""
+    """An epoch [ns]. `arrived` of its PDUs arrived; `waited` is the sum of their delays [ns]."""
 
     start: int
     end: int
@@ -39,7 +40,7 @@ class _Epoch:
     waited: int = 0
 
     def take(self, count: int, delay: int) -> int:
-        """Let at most so many of its PDUs arrive with this delay; how many are left over."""
+        """Let up to `count` of its PDUs arrive with this delay [ns]. Return the number left."""
         taken = min(count, self.sent - self.arrived)
         self.arrived += taken
         self.waited += taken * delay
@@ -47,7 +48,7 @@ class _Epoch:
 
 
 def read_epochs(path: Path, rows: Iterable[Row], options: Options, direction: int) -> Measured:
-    """The delay of each epoch in which data were sent; `ProfileError` with the wrong line."""
+    """The delay of each epoch in which data were sent. `ProfileError` names the wrong line."""
     bearers: dict[str, list[_Epoch]] = defaultdict(list)
     for row in rows:
         bearers[row.cells[2]].append(_epoch(path, row))
@@ -68,7 +69,7 @@ def read_epochs(path: Path, rows: Iterable[Row], options: Options, direction: in
         pieces.append((times, np.full(len(times), delay), np.full(len(times), not epoch.arrived)))
     way = ordered(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
     sent = sum(epoch.sent for epoch in known)
-    # Of the last epochs some may still have been under way.
+    # Some PDUs of the last epochs may still be under way.
     missing = sum(epoch.sent - epoch.arrived for epoch in known if epoch.end + longest <= end)
     return one_way(
         direction,
@@ -94,7 +95,7 @@ def _epoch(path: Path, row: Row) -> _Epoch:
 
 
 def _match(epochs: list[_Epoch]) -> None:
-    """Let what was received arrive in the epochs in which it was sent."""
+    """Assign the PDUs received to the epochs in which they were sent."""
     epochs.sort(key=lambda epoch: epoch.start)
     waiting: deque[_Epoch] = deque(maxlen=_WAITING)
     for epoch in epochs:
@@ -108,12 +109,12 @@ def _match(epochs: list[_Epoch]) -> None:
             if not left:
                 break
         if left:
-            # Sent before the record began.
+            # The PDUs left over were sent before the record began.
             epoch.sent += left
             epoch.take(left, epoch.delay)
         waiting = deque((each for each in waiting if each.arrived < each.sent), maxlen=_WAITING)
 
 
 def _distance(epoch: _Epoch, time: int) -> int:
-    """How far from an epoch a time is; 0 within it."""
+    """The distance of a time from an epoch [ns]; 0 within it."""
     return max(epoch.start - time, time - epoch.end, 0)

@@ -2,9 +2,9 @@
 
     DL/UL time frame subF slot 1stSym symbol# cellId rnti ccId tbSize mcs rv SINR(dB) corrupt TBler
 
-Blocks have no delays. Beside delays of the same run they give what the link carried in each
-period, the bytes of the blocks that arrived whole, and the mean SINR. Carried is not could have
-carried: where the sender had nothing to send, the capacity was larger.
+Blocks have no delays. Beside delays of the same run they give the bytes of the blocks that arrived
+whole in each period, and the mean SINR. These bytes are a lower bound of the capacity. The capacity
+was larger where the sender had nothing to send.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ NOTE = (
 
 
 def is_ns3_phy(first_line: str) -> bool:
-    """Whether a file that begins with this line is a trace of transport blocks."""
+    """Return whether a file with this first line is a trace of transport blocks."""
     return {"tbsize", "corrupt"} <= set(_names(first_line))
 
 
 def refuse_alone(path: Path, options: Options, direction: int) -> Measured:
-    """`ProfileError`: blocks have no delays."""
+    """Raise `ProfileError`, because blocks have no delays."""
     raise ProfileError(
         f"{path}: transport blocks of the physical layer, without delays; expected them beside "
         f"delays, as in UlPdcpStats.txt DlPdcpStats.txt OUT --phy {path.name}"
@@ -92,7 +92,7 @@ def read_phy(path: Path, options: Options) -> dict[str, Series]:
 
 
 def _names(header: str) -> list[str]:
-    """Names of the columns in lower case; older traces leave the first one empty."""
+    """The names of the columns in lower case. Older traces leave the first one empty."""
     names = header.lstrip("\ufeff%").lower().split()
     unnamed = bool(names) and not ({"dl/ul", "direction"} & set(names))
     return ["dl/ul", *names] if unnamed else names

@@ -1,12 +1,12 @@
-"""The rows of ns-3's files about bearers: which columns they have, and whose they are.
+"""The rows of ns-3's files about bearers: their columns, and the terminal of each row.
 
-With a header, or without, as mmWave writes them, known by their shape:
+A file has a header, or none, as mmWave writes it. Without a header the shape of a row tells:
 
     Rx 0.1005 1 1 3 100 500000     event, time in s, cell, RNTI, LCID, size; of Rx the delay in ns
     0.1005 1 1 1 3 100 500000      the same of receptions only, with the IMSI behind the cell
 
-A terminal is its IMSI. Where there is none it is its RNTI in its cell: a cell's numbers are used
-again in the next one, and after a handover a terminal has another number.
+The IMSI identifies a terminal. Without an IMSI, the cell and the RNTI do. Two cells may use the
+same RNTI, and a terminal gets another RNTI at a handover.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _FLAGS = {"cellid": "--cell", "imsi": "--imsi", "rnti": "--rnti"}
 
 @dataclass(frozen=True)
 class Layout:
-    """The names of the columns, in order, and the shape that they make; of `headless` by place."""
+    """The names of the columns, in order, and their shape. `headless`: the file has no header."""
 
     names: list[str]
     shape: tuple[str, ...]
@@ -46,7 +46,7 @@ class Layout:
 
 
 def layout(first_line: str) -> Layout | None:
-    """The columns of a file that begins with this line; None if it is none of these."""
+    """The columns of a file with this first line; None if the file is not about bearers."""
     names = _names(first_line)
     for shape in _SHAPES:
         if {*shape, "rnti"} <= set(names):
@@ -64,14 +64,14 @@ def layout(first_line: str) -> Layout | None:
 
 @dataclass(frozen=True)
 class Row:
-    """Where a row is, and its cells in the order of the shape."""
+    """A row: its place in the file, and its cells in the order of the shape."""
 
     where: str
     cells: list[str]
 
 
 def rows(path: Path, options: Options, shape: tuple[str, ...]) -> Iterator[Row]:
-    """The rows of the data bearers of one terminal; `ProfileError` if there are several or none."""
+    """The rows of one terminal's data bearers. `ProfileError` if the file has several or none."""
     below = content_lines(path)
     first, header = next(below, (1, ""))
     found = layout(header)
@@ -129,5 +129,5 @@ def _listed(terminals: dict[tuple[int, ...], str]) -> str:
 
 
 def _names(header: str) -> list[str]:
-    """Names of the columns in lower case, without units and the mark of a comment."""
+    """The names of the columns in lower case, without units and the mark of a comment."""
     return [name.split("(")[0].lower() for name in header.lstrip("\ufeff% \t").split()]

@@ -1,4 +1,4 @@
-"""What a user says of the files to import, and how it is written: `40000B@1kHz`, `2ms/3ms`."""
+"""The options of an import, and their notation: `40000B@1kHz`, `2ms/3ms`."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Load:
 
 @dataclass(frozen=True)
 class Options:
-    """Each importer takes its own of these; pairs are uplink and downlink; None: not said.
+    """The options of all importers. Each importer takes its own. Pairs are uplink and downlink.
 
-    `beside` is the file that belongs to another one: the receiver's to the sender's,
-    ns-3's sendings to its receptions.
+    None stands for an option that the user has not given. `beside` is the file that belongs to
+    another one: the receiver's to the sender's, ns-3's sendings to its receptions.
     """
 
     period_ns: int = PERIOD_NS
@@ -95,7 +95,7 @@ def parse_fraction(text: str) -> float:
 
 
 def parse_columns(text: str) -> dict[str, str]:
-    """`sent=pub_time(ms),received=sub_time(ms)` → what is in which column."""
+    """`sent=pub_time(ms),received=sub_time(ms)` → the column of each meaning."""
     parts = [part.partition("=") for part in text.split(",")]
     if any(not key.strip() or not name.strip() for key, _, name in parts):
         raise ConfigError(

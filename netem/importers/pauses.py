@@ -1,9 +1,9 @@
-"""Pauses of a measurement: times in which no packet was sent, so that nothing is known of the link.
+"""Pauses of a measurement: spans without a packet, which tell nothing about the link.
 
-A pause lasts `PAUSE_NS` or longer, and at least `_MANY` times as long as packets usually are apart.
-Interpolated, it would be a ramp of delays that nobody met. It is refused, cut out of the time of
-both ways, or taken as lost, as the user says: whoever writes down arrivals only has an outage
-there, whoever stopped and went on measuring has not.
+A pause lasts at least `PAUSE_NS`, and at least `_MANY` times the usual time between packets.
+Interpolation would give a ramp of delays that no packet had. By the user's choice the importer
+refuses a pause, cuts it out of the time of both ways, or takes it as lost. In a record of arrivals
+alone, a pause is an outage. In a measurement that stopped and went on, it is not.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _NONE = np.empty((0, 2), np.int64)
 
 
 def usual_spacing_ns(way: Way, period_ns: int) -> int:
-    """How far apart the periods are in which something was sent, in the median; 0 if it is one."""
+    """The median time between the periods with a packet [ns]; 0 if there is one such period."""
     steps = np.diff(np.unique(_sent(way) // period_ns))
     return int(np.median(steps)) * period_ns if len(steps) else 0
 
 
 def without_pauses(measured: Measured, *, name: str, period_ns: int, treatment: str) -> Measured:
-    """The measurement with its pauses cut out or lost; `ProfileError` if neither is asked for."""
+    """The measurement, its pauses cut out or lost. `ProfileError` if `treatment` is neither."""
     found = [_NONE if way is None else _pauses(way, period_ns) for way in measured.ways]
     same = np.array_equal(found[0], found[1])
     told = [
@@ -60,19 +60,19 @@ def without_pauses(measured: Measured, *, name: str, period_ns: int, treatment: 
 
 
 def _sent(way: Way) -> np.ndarray:
-    """When something was sent, of this way or of a round trip that did not come so far."""
+    """The sending times of this way's packets, and of round trips that did not reach this way."""
     return way.sent_ns if way.unknown_ns is None else np.union1d(way.sent_ns, way.unknown_ns)
 
 
 def _pauses(way: Way, period_ns: int) -> np.ndarray:
-    """Begin and end of each pause, (n, 2); the packet before it keeps the usual time."""
+    """Begin and end of each pause [ns], (n, 2). The packet before a pause keeps its usual time."""
     sent, usual_ns = _sent(way), usual_spacing_ns(way, period_ns)
     long = np.diff(sent) >= max(PAUSE_NS, _MANY * usual_ns)
     return np.stack([sent[:-1][long] + usual_ns, sent[1:][long]], axis=1) if usual_ns else _NONE
 
 
 def _with_losses(way: Way, begin_ns: np.ndarray) -> Way:
-    """With a lost packet at the beginning of each pause, which no count knows."""
+    """Add a lost packet at the beginning of each pause. The counts leave these packets out."""
     order = np.argsort(np.concatenate([way.sent_ns, begin_ns]), kind="stable")
     nothing = np.zeros_like(begin_ns)
     return replace(
@@ -85,7 +85,7 @@ def _with_losses(way: Way, begin_ns: np.ndarray) -> Way:
 
 
 def _merged(pauses: np.ndarray) -> np.ndarray:
-    """Without overlaps, in order."""
+    """The pauses in order, with overlapping ones joined."""
     joined: list[list[int]] = []
     for begin, end in sorted(pauses.tolist()):
         if joined and begin <= joined[-1][1]:
@@ -96,12 +96,12 @@ def _merged(pauses: np.ndarray) -> np.ndarray:
 
 
 def _cut(measured: Measured, pauses: np.ndarray, period_ns: int, note: str) -> Measured:
-    """Without these times, by whole periods: what follows keeps its place in its period."""
+    """Cut the pauses out by whole periods. Later packets keep their place in their period."""
     begins, ends = pauses.T
     passed = np.append(0, np.cumsum((ends - begins) // period_ns * period_ns))
 
     def kept(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which times are in no pause, and all of them as they are without the pauses."""
+        """A mask of the times outside pauses, and all times less the pauses before them [ns]."""
         before = np.searchsorted(ends, times, side="right")
         inside = np.append(begins, np.iinfo(np.int64).max)[before] < times
         return ~inside, times - passed[before]

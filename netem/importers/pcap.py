@@ -1,7 +1,7 @@
 """The IP packets of a capture.
 
-Links: Ethernet (with VLAN tags), raw IP, PPP, BSD loopback, Linux cooked. IP in GTP-U (UDP port
-2152, as between base station and core) is taken out of it.
+Links: Ethernet (with VLAN tags), raw IP, PPP, BSD loopback, Linux cooked. A packet inside
+GTP-U (UDP port 2152, as between base station and core) counts in place of the outer one.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _CHECKSUM = {_UDP: slice(6, 8), _TCP: slice(16, 18)}
 
 
 class Packet(NamedTuple):
-    """An IP packet or fragment: `key` is the same at both ends, `datagram` in all its fragments.
+    """An IP packet or fragment. `key` is the same at both ends, `datagram` in all its fragments.
 
-    `flow` is (source, destination). `payload_bytes` of IP, of which the capture holds `held_bytes`;
-    `last` if no fragment follows.
+    `flow` is (source, destination). `payload_bytes` is the length of IP's payload. The capture
+    holds `held_bytes` of it. `last` tells that no fragment follows.
     """
 
     time_ns: int
@@ -41,9 +41,9 @@ class Packet(NamedTuple):
 
 
 def packets(path: Path, *, compared: int = WHOLE) -> Iterator[Packet]:
-    """The IP packets in a capture; `ProfileError` with the record that is wrong.
+    """The IP packets in a capture. `ProfileError` names the record that is wrong.
 
-    The `key` is of everything that stays the same and the first `compared` bytes of the payload.
+    The `key` is made of all constant fields and the first `compared` bytes of the payload.
     """
     for frame in frames(path):
         network = _LINKS.get(frame.link)
@@ -56,7 +56,7 @@ def packets(path: Path, *, compared: int = WHOLE) -> Iterator[Packet]:
 
 
 def held_of_each(path: Path) -> int:
-    """How many bytes of every payload a capture holds, if it cuts any short; else `WHOLE`."""
+    """The bytes that a capture holds of every payload; `WHOLE` if it cuts no payload short."""
     cut = (p.held_bytes for p in packets(path, compared=0) if p.held_bytes < p.payload_bytes)
     return min(cut, default=WHOLE)
 
@@ -66,7 +66,7 @@ def _ethernet(frame: bytes) -> bytes:
 
 
 def _after_type(frame: bytes, at: int) -> bytes:
-    """What follows an EtherType at `at`, VLAN tags skipped; empty if it is not IP."""
+    """The payload of an EtherType at `at`, with VLAN tags skipped; empty if it is not IP."""
     kind = int.from_bytes(frame[at : at + 2], "big")
     while kind in _VLANS and len(frame) > at + 6:
         at += 4
@@ -94,7 +94,7 @@ _LINKS: dict[int, Callable[[bytes], bytes]] = {
 
 
 def _ip(data: bytes, time_ns: int, compared: int, *, inside: bool = False) -> Packet | None:
-    """The packet that `data` is, or the one inside if it is GTP-U; None if it is not IP."""
+    """The packet in `data`, or the packet inside its GTP-U; None if `data` is not IP."""
     version = data[0] >> 4 if data else 0
     if version == 4 and len(data) >= 20:
         length = (data[0] & 15) * 4
@@ -118,7 +118,7 @@ def _ip(data: bytes, time_ns: int, compared: int, *, inside: bool = False) -> Pa
     held = min(len(body), max(total, 0))
     start = bytearray(body[: min(held, compared)])
     if offset == 0 and protocol in _CHECKSUM:
-        # A sender's network card fills it in after the capture.
+        # A sender's network card fills in the checksum after the capture.
         part = _CHECKSUM[protocol]
         start[part] = bytes(len(start[part]))
     datagram = b"".join((*flow, bytes([protocol]), identity))
@@ -128,13 +128,13 @@ def _ip(data: bytes, time_ns: int, compared: int, *, inside: bool = False) -> Pa
 
 
 def _is_gtp(udp: bytes) -> bool:
-    """Whether a UDP datagram carries a user's packet: GTP version 1, message 255."""
+    """Return whether a UDP datagram carries a user's packet: GTP version 1, message 255."""
     ports = struct.unpack(">2H", udp[:4]) if len(udp) >= 16 else ()
     return _GTP_PORT in ports and udp[8] & 0xF0 == 0x30 and udp[9] == 0xFF
 
 
 def _inside_gtp(gtp: bytes) -> bytes:
-    """What follows GTP's header, its optional fields and its chain of extensions."""
+    """The bytes after GTP's header, its optional fields and its chain of extensions."""
     at = 8
     if gtp[0] & 0x07:
         at, following = 12, gtp[11] if len(gtp) > 11 and gtp[0] & 0x04 else 0

@@ -4,9 +4,9 @@
     [1795299931.544576] 10.0.0.1 : [0], 64 bytes, 12.3 ms (12.3 avg, 0% loss)
     Reply from 10.0.0.1: bytes=32 time=87ms TTL=51
 
-A number without a reply is a loss; Windows has no numbers, and every line is a ping. A time before
-a line tells when the reply came, which is the time of sending plus the round trip. Without such
-times pings are an interval apart. Numbers wrap after 65535, those of fping do not.
+A number without a reply is a loss. Windows has no numbers, and every line is a ping. A time before
+a line is the arrival of the reply: the time of sending plus the round trip. Without such times
+pings are an interval apart. Numbers wrap after 65535, but fping's do not.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from shared.errors import ProfileError
 _SECOND = 1_000_000_000
 _NUMBER = re.compile(r"(?:icmp_|\b)(?:seq|req)[= ](\d+)")
 _MS = "(?:ms|毫秒|мсек|мс|ミリ秒|밀리초)"
-# "time=0.092 ms", and as it is in other languages: "Zeit=0,092 ms", "时间=9.72 毫秒".
+# "time=0.092 ms", and the same in other languages: "Zeit=0,092 ms", "时间=9.72 毫秒".
 _TIME = re.compile(rf"([=<]) ?(\d+(?:[.,]\d+)?) ?{_MS}(?=\s|$)")
 _FPING = re.compile(
     r"(?P<host>\S+)\s*: \[(?P<number>\d+)\], (?:(?P<size>\d+) bytes, (?P<time>[\d.]+) ms|timed out)"
 )
-# Of Windows in any language; of its IPv6 the time ends the line: "Reply from ::1: time<1ms".
+# A reply of Windows in any language. With IPv6 the time ends the line: "Reply from ::1: time<1ms".
 _WINDOWS = re.compile(rf"[=<] ?\d+ ?{_MS} .*TTL=\d+|: \w+ ?[=<] ?\d+ ?{_MS}\s*$")
 _WINDOWS_SENT = re.compile(r"= (\d{1,9})\D+= (\d{1,9})\D+= (\d{1,9}) \(")
-# What begins like a reply: "64 bytes from ", or a time that was not finished.
+# The beginning of a reply: "64 bytes from ", or an unfinished time.
 _REPLY = re.compile(r"\s*(?:\[|\d+ [^\W\d]+ [^\W\d]+ )")
 _COMPLAINT = re.compile(
     r"no answer|unreachable|exceeded|redirect|quench|filtered|prohibited", re.IGNORECASE
@@ -52,7 +52,7 @@ _STEP_NS = 10_000_000
 
 @dataclass
 class PingLog:
-    """Round trips [ns] and times at which replies came, by number, and what else a log says."""
+    """The content of a log: round trips [ns] and arrival times of replies by number, and more."""
 
     trips: dict[int, int] = field(default_factory=dict)
     came: dict[int, int] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class PingLog:
 
 
 def is_ping(start: str) -> bool:
-    """Whether a file that begins so is a log of pings."""
+    """Return whether a file with this beginning is a log of pings."""
     texts = [stamped(line)[1] for line in start.splitlines()]
     return _is_windows(texts) or any(
         _HEADING.match(text) or _FPING.match(text) or (_NUMBER.search(text) and _TIME.search(text))
@@ -73,7 +73,7 @@ def is_ping(start: str) -> bool:
 
 
 def read_ping(path: Path, options: Options, direction: int) -> Measured:
-    """Both ways, half the round trip each; `ProfileError` with the line that is wrong."""
+    """Both ways, half the round trip each. `ProfileError` names the line that is wrong."""
     windows = _is_windows([stamped(text)[1] for _, text in content_lines(path, comments="")])
     log = _windows(path) if windows else _numbered(path)
     return measured_pings(path, options, log)
@@ -133,7 +133,7 @@ def _numbered(path: Path) -> PingLog:
 
 
 def _windows(path: Path) -> PingLog:
-    """Each line between the heading, or the first reply, and a blank line is a ping."""
+    """The log of Windows: each line from the heading, or first reply, to a blank line is a ping."""
     log, begun, ended, below = PingLog(), False, False, 0
     for line, written in lines(path):
         where, (stamp, text) = f"line {line}", stamped(written)
@@ -167,7 +167,7 @@ def _windows(path: Path) -> PingLog:
 
 
 def _numbers(path: Path, seen: set[int], transmitted: int | None) -> np.ndarray:
-    """All numbers that were sent, in order."""
+    """The numbers of all pings sent, in order."""
     first, last = min(seen), max(seen)
     if transmitted is not None:
         # iputils counts from 1, the others from 0.
@@ -178,7 +178,7 @@ def _numbers(path: Path, seen: set[int], transmitted: int | None) -> np.ndarray:
 
 
 def measured_pings(path: Path, options: Options, log: PingLog) -> Measured:
-    """Both ways of a log, half of each round trip; `ProfileError` if nothing was answered."""
+    """Both ways of a log, half of each round trip. `ProfileError` if the log has no reply."""
     if not log.trips:
         raise ProfileError(f"{path}: expected replies to pings, found none")
     numbers = _numbers(path, log.seen, log.transmitted)
@@ -214,7 +214,7 @@ def measured_pings(path: Path, options: Options, log: PingLog) -> Measured:
 def _interval(
     options: Options, log: PingLog, known: np.ndarray, came: np.ndarray
 ) -> tuple[int | None, str]:
-    """Time between pings [ns] and where it is from, where the times of replies do not tell it."""
+    """The time between pings [ns] and its source, if the times of the replies do not give it."""
     if options.interval_ns is not None:
         return options.interval_ns, ""
     coarse = len(known) > 1 and not (came % _SECOND).any()
@@ -233,7 +233,7 @@ def _interval(
 def _without_steps(
     known: np.ndarray, times: np.ndarray, interval: int
 ) -> tuple[np.ndarray, list[str]]:
-    """Times of sending as of a clock that was not set back [ns], and what to say of those steps."""
+    """The sending times by a clock without steps back [ns], and a note on each step."""
     passed, expected = np.diff(times), np.diff(known) * interval
     back = passed < np.minimum(0, expected - _STEP_NS)
     shifts = np.append(0, np.cumsum(np.where(back, expected - passed, 0)))
@@ -248,7 +248,10 @@ def _without_steps(
 def _along(
     numbers: np.ndarray, answered: np.ndarray, times: np.ndarray, interval: int
 ) -> np.ndarray:
-    """When each number was sent: unanswered ones between their neighbours, or an interval apart."""
+    """The sending time of each number [ns].
+
+    Numbers without a reply lie between their neighbours, or an interval apart at either end.
+    """
     between = np.interp(numbers, answered, times - times[0])
     before, after = np.minimum(numbers - answered[0], 0), np.maximum(numbers - answered[-1], 0)
     sent: np.ndarray = times[0] + np.rint(between).astype(np.int64) + (before + after) * interval

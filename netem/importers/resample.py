@@ -1,17 +1,16 @@
-"""Packets, sent when they were, as a profile of equal periods.
+"""Resampling: packets at any sending times become a profile of equal periods.
 
-A period takes the longest delay of the packets sent in it: of a datagram in fragments the last
-one counts. It is lost only if all of them were.
+A period takes the longest delay of the packets sent in it. Of a datagram in fragments, the last
+fragment counts. A period is lost only if all its packets are lost.
 
-A period in which nothing was sent is filled. Between two packets that arrived, one after the other,
-it is interpolated along the time of sending. This is exact behind a stall: packets queue, are
-released together, and the one sent 1 ms later waits 1 ms less. A lost packet stands for the time
-until the next one, and so does one that arrived before a lost one: the periods lost are then as
-many as the packets lost, and an outage is as long as it was, to within the time between packets.
+A period without a packet is filled. Between two successive packets that arrived, it is
+interpolated along the time of sending. This is exact after an outage in which packets queue: they
+leave together, and a packet sent 1 ms later waits 1 ms less. A lost packet stands for the time
+until the next packet. So does a packet that arrived before a lost one. The share of periods lost is
+then the share of packets lost. The length of an outage is exact to within the time between packets.
 
-The boundaries of the periods lie where in the period no packets are sent, so that no burst is
-parted and rounded times do no harm. Both ways share one axis, of the time for which both were
-measured.
+The boundaries of the periods lie at a phase at which no packets are sent. They part no burst, and
+rounded times do no harm. Both ways share one axis, the time for which both were measured.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ MAX_PERIODS = 10_000_000
 def to_profile(
     measured: Measured, options: Options, *, name: str, constant_ns: int | None = None
 ) -> DelayProfile:
-    """The profile of a measurement; `constant_ns` is the delay of a way that was not measured."""
+    """The profile of a measurement. `constant_ns` is the delay of a way that was not measured."""
     period_ns = options.period_ns
     measured = without_pauses(measured, name=name, period_ns=period_ns, treatment=options.pause)
     notes = list(measured.notes)
@@ -85,7 +84,7 @@ def to_profile(
 
 
 def check_span(name: object, span_ns: int, period_ns: int) -> None:
-    """`ProfileError` if the span has more periods than anyone needs."""
+    """Raise `ProfileError` if the span has `MAX_PERIODS` periods or more."""
     if span_ns >= MAX_PERIODS * period_ns:
         raise ProfileError(
             f"{name}: {span_ns * 1e-9:.6g} s in periods of {period_ns * 1e-6:g} ms: expected at "
@@ -106,7 +105,7 @@ def _check(name: str, direction: str, way: Way) -> None:
 
 
 def _on_one_axis(name: str, measured: Measured, notes: list[str]) -> list[Way | None]:
-    """The ways as they are, or both from 0 where they were measured at different times."""
+    """The ways as they are, or both from 0 if their measurements do not overlap in time."""
     up, down = measured.ways
     if up is None or down is None:
         return [up, down]
@@ -120,10 +119,11 @@ def _on_one_axis(name: str, measured: Measured, notes: list[str]) -> list[Way | 
 
 
 def _start(sent_ns: np.ndarray, begin_ns: int, period_ns: int) -> int:
-    """Where the first period begins, at `begin_ns` or up to a period before.
+    """The beginning of the first period [ns], at `begin_ns` or up to a period before.
 
-    In the middle of the gap before it if that is about as wide as any gap between the sending
-    times, modulo the period; otherwise in the middle of the widest.
+    The gaps are those between the sending times modulo the period. The beginning is the middle of
+    the gap before `begin_ns` if that gap is at least half as wide as the widest. Otherwise it is
+    the middle of the widest gap.
     """
     phases = np.unique((sent_ns - begin_ns) % period_ns)
     gaps = np.diff(phases, append=phases[0] + period_ns)
@@ -135,7 +135,7 @@ def _start(sent_ns: np.ndarray, begin_ns: int, period_ns: int) -> int:
 
 
 def _end(way: Way, period_ns: int) -> int:
-    """When the measurement of a way ends [ns]; a packet lost at last stands as long as others."""
+    """The end of the measurement of a way [ns]. A lost last packet stands as long as others."""
     last = int(way.sent_ns[-1])
     return last + max(usual_spacing_ns(way, period_ns) - period_ns, 0) * bool(way.lost[-1])
 
@@ -143,9 +143,9 @@ def _end(way: Way, period_ns: int) -> int:
 def _resampled(
     way: Way, start_ns: int, n: int, period_ns: int, *, lone_losses: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Delay of each of `n` periods [ns], `LOST` where it is, and which of them had no packet.
+    """The delay of each of `n` periods [ns] or `LOST`, and a mask of the periods without a packet.
 
-    With `lone_losses` a packet lost between two that arrived is lost in its own period only.
+    With `lone_losses`, a packet lost between two that arrived is lost in its own period only.
     """
     index = (way.sent_ns - start_ns) // period_ns
     delay = np.where(way.lost, LOST, way.delay_ns)
@@ -172,7 +172,7 @@ def _resampled(
 def _loss_notes(
     way: Way, lost: np.ndarray, empty: np.ndarray, *, lone_losses: bool
 ) -> Iterator[str]:
-    """What became of the lost packets, where that is a choice or may surprise."""
+    """Notes for the user on the treatment of lost packets, if it is a choice or may surprise."""
     sent, missing = way.counted[0], way.counted[1] or 0
     if lone_losses and missing:
         yield "a lone lost packet stands for its own period only (--lone-loss)"
@@ -189,7 +189,7 @@ def _loss_notes(
 
 
 def _shared_times_note(way: Way, period_ns: int) -> tuple[str, ...]:
-    """What to say of times so coarse that several packets have the same."""
+    """A note for the user on coarse times that several packets share; empty if they are fine."""
     sent, times = len(way.sent_ns), len(np.unique(way.sent_ns))
     if sent < 2 * times or usual_spacing_ns(way, period_ns) <= period_ns:
         return ()

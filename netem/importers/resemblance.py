@@ -1,7 +1,7 @@
-"""What a file looks like that is like no known format: what other thing it is, or how to read it.
+"""Advice on a file of no known format: the kind of file that it is, or the flags that read it.
 
-A table is recognised by its rows, and the `--columns` that would read it are made from its names,
-as far as they say what they are: a time, a delay, a unit.
+The rows identify a table. The names of its columns give the `--columns` that would read it, as far
+as they name a time, a delay or a unit.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from shared.errors import ProfileError
 
 _DELAYS_ALONE = "--columns 'rtt=1(ms)' --interval 10ms"
 _IRTT = "irtt client -o FILE.json"
-# How others begin, what they are and what to do.
+# Other kinds of file: the beginning, the kind, and the advice.
 _MAGICS = (
     (b"\xd0\xcf\x11\xe0", "a workbook", "save the sheet as CSV"),
     (b"PK\x03\x04", "a zip archive", "unpack it"),
@@ -31,7 +31,7 @@ _MAGICS = (
     (b"7z\xbc\xaf", "a 7z archive", "unpack it"),
     (b"%PDF", "a PDF", "take the numbers that it is made of"),
 )
-# What a column is called, of which meaning; the first that fits counts.
+# Patterns of the names of columns, and their meaning. The first pattern that fits counts.
 _NAMES: tuple[tuple[str, str], ...] = (
     ("received", "recv received receive rx sub arrival arrived"),
     ("sent", "sent send tx pub time timestamp ts t date datetime stamp epoch elapsed when start"),
@@ -43,7 +43,7 @@ _NAMES: tuple[tuple[str, str], ...] = (
 
 
 def refuse_others(path: Path, start: bytes) -> None:
-    """`ProfileError` if the file is of a kind that has no delays in it, or none to be read here."""
+    """Raise `ProfileError` if the file is of a kind without delays, or with unreadable ones."""
     if b"xl/workbook" in start or b"opendocument.spreadsheet" in start[:200]:
         raise _refusal(path, "a workbook", "save the sheet as CSV")
     for magic, kind, advice in _MAGICS:
@@ -63,7 +63,7 @@ def _refusal(path: Path, kind: str, advice: str) -> ProfileError:
 
 
 def resemblance(content: list[str]) -> str:
-    """What lines look like, with the flags that would read them; empty if like nothing."""
+    """A description of the lines, with the flags that would read them; empty if there is none."""
     rows = [split_names(line) for line in content[:PREAMBLE]]
     if not rows:
         return ""
@@ -90,7 +90,7 @@ def resemblance(content: list[str]) -> str:
 
 
 def _columns(names: list[str], row: list[str]) -> str:
-    """Flags by the names of a header above a row of values; empty if they tell too little."""
+    """The flags by the names of a header above a row of values; empty if they tell too little."""
     found: dict[str, str] = {}
     for name, cell in zip(names, row, strict=False):
         date = date_time_ns(cell) is not None
@@ -131,7 +131,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _unit(cell: str) -> str:
-    """The unit of a time since 1970 by its size; s if it is none."""
+    """The unit in brackets of a time since 1970, by its number of digits; empty for no number."""
     try:
         digits = len(str(int(abs(float(cell)))))
     except ValueError:

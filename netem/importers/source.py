@@ -1,7 +1,7 @@
-"""Reading files that others wrote: plain or gzipped, line by line, in bounded memory.
+"""Reading files of other programs: plain or gzipped, line by line, in bounded memory.
 
-Every way in which such a file can be wrong ends in a `ProfileError` of one line that names the
-file, the line (or record) and what was expected of it.
+Every fault of such a file ends in a `ProfileError` of one line. It names the file, the line (or
+record) and the expected content.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ def head(path: Path, *, size: int) -> bytes:
             while len(data) < size and (chunk := file.read1(size - len(data))):
                 data += chunk
         except (EOFError, zlib.error):
-            pass  # whoever reads on will find it again, with more to say
+            pass  # the reader of the rest finds the damage again, and reports more of it
         return data
 
 
 def decoded(data: bytes) -> str:
-    """Text of any encoding that announces itself, else UTF-8; what is none is replaced."""
+    """Text of any encoding that announces itself, else UTF-8. Invalid bytes are replaced."""
     return data.decode(_encoding(data), errors="replace")
 
 
 def first_line(path: Path) -> str:
-    """The first line with content among the first bytes of a file, whatever is in it."""
+    """The first line with content among the first bytes of a file of any kind; empty if none."""
     text = decoded(head(path, size=1 << 12))
     return next((line for line in text.splitlines() if line.strip() and line[0] != "#"), "")
 
@@ -91,14 +91,14 @@ def content_lines(path: Path, *, comments: str = "#") -> Iterator[tuple[int, str
 
 
 def is_unfinished(path: Path, line: int) -> bool:
-    """Whether that line is the last one and has no end: whoever wrote it was stopped."""
+    """Return whether that line is the last one and has no end: its writer was stopped."""
     with opened(path) as file:
         text = io.TextIOWrapper(file, encoding=_encoding(file.peek(3)), errors="replace")
         return not next(itertools.islice(text, line - 1, None), "\n").endswith("\n")
 
 
 def json_document(path: Path, writer: str) -> Any:
-    """What a file of JSON says; `ProfileError` with the line where it stops being that."""
+    """The document in a file of JSON. `ProfileError` names the line where the JSON is wrong."""
     with opened(path) as file:
         data = file.read(_MAX_JSON + 1)
     if len(data) > _MAX_JSON:
@@ -114,7 +114,7 @@ def json_document(path: Path, writer: str) -> Any:
 
 
 def wrong(path: Path, where: str, expected: str, got: object) -> ProfileError:
-    """The error of one place in a file, as `wrong(path, "line 4", "a delay", cell)`."""
+    """The error for one place in a file, as in `wrong(path, "line 4", "a delay", cell)`."""
     text = got if isinstance(got, str) else repr(got)
     shown = text if len(text) <= 60 else text[:60] + "…"
     return ProfileError(f"{path}, {where}: expected {expected}, got {shown!r}")
@@ -143,7 +143,7 @@ def whole(text: str, path: Path, where: str, what: str, *, low: int, high: int) 
 
 
 def nanoseconds(text: str, unit_ns: int, path: Path, where: str, what: str) -> int:
-    """A time in units of `unit_ns`, exact where it is a whole number of them."""
+    """A time in units of `unit_ns` as ns, exact if it is a whole number of units."""
     try:
         value = int(text) * unit_ns
     except ValueError:

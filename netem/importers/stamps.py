@@ -27,7 +27,7 @@ _BARE = re.compile(rf"\s*({_TIME})(?:\s*[:;,|-])?(?:\s+|(?<=[:;,|]))(?=\S)", re.
 _BRACKETED = re.compile(
     rf"\s*\[\s*({_TIME}|\d{{1,12}}(?:\.\d{{1,9}})?)\s*\]\s*[:;,|-]?\s*", re.ASCII
 )
-# How many digits there are of seconds, ms, µs and ns since 1970.
+# The unit [ns] by the number of digits of a time since 1970 in ms, µs or ns.
 _DIGITS_NS = {13: UNITS_NS["ms"], 16: UNITS_NS["us"], 19: 1}
 
 

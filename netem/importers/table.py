@@ -1,14 +1,15 @@
 """Tables of packets whose columns the user names: text of any separator, and parquet.
 
-`sent` and one of `received`, `delay` (one way), `rtt` (half each way), or `uplink` and `downlink`.
-Without `sent`, rows are `--interval` apart. A column is named, or counted from 1 where there are no
-names; `sec+nanosec` and `date+time` are two columns in one. A unit stands in the name, as in
-`pub_time(ms)` or `delay_ms`, or is given for all; dates and times of day need none. A packet whose
-delay is empty, nan, `lost` and the like was lost, and one whose delay is the value of `--lost`.
+The columns are `sent` and one of `received`, `delay` (one way) and `rtt` (half each way), or
+`uplink` and `downlink`. Without `sent`, rows are `--interval` apart. A column has a name, or a
+number from 1 in a table without names. `sec+nanosec` and `date+time` are two columns in one. A unit
+stands in the name, as in `pub_time(ms)` or `delay_ms`, or one unit holds for all. Dates and times
+of day need none. A packet is lost if its delay is empty, nan, `lost` or the like, or the value of
+`--lost`.
 
-With an `id` there are two tables, the sender's and the receiver's, of which each has a time and
-what a packet is known by. Two tables are known by their header: those of CICV5G, and irtt's in
-parquet as DETERMINISTIC6G publishes them.
+With an `id` there are two tables, the sender's and the receiver's. Each has a time and the id of
+each packet. The importer knows the headers of two tables: CICV5G's, and irtt's in parquet as
+DETERMINISTIC6G publishes them.
 """
 
 from __future__ import annotations
@@ -45,12 +46,12 @@ _KNOWN = (
     },
 )
 _MEANINGS = ("received", "delay", "rtt", "uplink", "downlink")
-# What stands for a lost packet is so many units away from every delay.
+# The minimum distance of the mark of a lost packet from every delay [units].
 _APART = 3
 
 
 def known_columns(path: Path, start: bytes, first_line: str) -> Mapping[str, str]:
-    """What the columns of a table mean whose header is known; empty if it is not."""
+    """The columns by meaning of a table whose header is known; empty if it is not known."""
     names = parquet_names(path) if start.startswith(PARQUET) else split_names(first_line)
     for columns in _KNOWN:
         if all(name in names or bare(name) in names for name in columns.values()):
@@ -59,7 +60,7 @@ def known_columns(path: Path, start: bytes, first_line: str) -> Mapping[str, str
 
 
 def read_table(path: Path, options: Options, direction: int) -> Measured:
-    """The ways that the columns say; `ProfileError` with the row that is wrong."""
+    """The ways that the columns give. `ProfileError` names the row that is wrong."""
     columns = options.columns or _columns_of(path)
     if "id" in columns:
         return _joined(path, options, direction)
@@ -103,7 +104,7 @@ def read_table(path: Path, options: Options, direction: int) -> Measured:
 
 
 def _joined(path: Path, options: Options, direction: int) -> Measured:
-    """One way, from the sender's table and the receiver's, by what a packet is known by."""
+    """One way, from the sender's table and the receiver's, joined by the ids of packets."""
     receiver = options.beside.get(path)
     if receiver is None:
         raise ProfileError(
@@ -158,7 +159,7 @@ def _read(path: Path, columns: Mapping[str, str], options: Options) -> Read:
 
 
 def _expect_no_mark(path: Path, key: str, read: Read) -> None:
-    """`ProfileError` if one value below all others, as −1, is no time but stands for lost ones."""
+    """Raise `ProfileError` if one value below all others, such as −1, stands for lost packets."""
     values, unit = read.values[key], read.units_ns.get(key)
     known = values[values != LOST_NS]
     low = known[known <= 0] if key == "received" else known[known < 0]

@@ -1,4 +1,4 @@
-"""Tables in parquet, whose columns may be times with a unit of their own."""
+"""Tables in parquet, whose columns may be times with the file's unit."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def read_parquet(path: Path, columns: Mapping[str, str], options: Options) -> Re
 def _parquet_times(
     path: Path, name: str, unit: int | None, key: str, options: Options
 ) -> np.ndarray:
-    """A column as ns, `LOST_NS` where it has no value or the one that says lost."""
+    """A column as ns, `LOST_NS` if a value is missing or marks a lost packet."""
     import pyarrow as pa
 
     column = _column(path, name)

@@ -17,7 +17,7 @@ from netem.importers.source import content_lines, lines, wrong
 from netem.importers.times import DAY_NOTE, bare, is_time_of_day, past_midnight
 from shared.errors import ProfileError
 
-# A header is looked for in so many lines.
+# The maximum number of lines in which the importer looks for a header.
 PREAMBLE = 50
 
 
@@ -29,7 +29,7 @@ def read_text(path: Path, columns: Mapping[str, str], options: Options) -> Read:
         key: place_of(path, f"line {where}", name, names, options.unit, split_names(header))
         for key, name in columns.items()
     }
-    # Between blanks a missing cell would move all those behind it.
+    # With blanks as separators, a missing cell would move all cells behind it.
     width = 1 + max(max(place.at) for place in places.values())
     width = len(names) if names and separator is None else width
     values: dict[str, array[int]] = {key: array("q") for key in columns if key != "id"}
@@ -81,7 +81,7 @@ class _Lines(Sequence[str]):
 
 
 def _header(path: Path, columns: Mapping[str, str]) -> tuple[int, str, list[str]]:
-    """The line of the header, its text and names; line 0 and no names if columns are counted."""
+    """The header's line, text and names; line 0 and no names if the user counts columns."""
     wanted = [part.strip() for name in columns.values() for part in (name, *name.split("+"))]
     first = (1, "")
     for line, text in itertools.islice(lines(path), PREAMBLE):
@@ -101,7 +101,7 @@ def _header(path: Path, columns: Mapping[str, str]) -> tuple[int, str, list[str]
 
 
 def _separator(header: str) -> str | None:
-    """What stands between the columns; None for blanks."""
+    """The separator of the columns; None for blanks."""
     return next((mark for mark in "\t;,|" if mark in header), None)
 
 

@@ -1,6 +1,6 @@
-"""Times as people write them: units in the names of columns, dates, times of day.
+"""Times as text: units in the names of columns, dates, times of day.
 
-A date without a zone is as good as one of UTC: only differences of times matter.
+A date without a zone is read as UTC, because only differences of times matter.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ def bare(name: str) -> str:
 
 
 def unit_ns(name: str, column: str) -> int | None:
-    """How many ns the unit has that the user's name of a column has, or its own name; or None."""
+    """The unit [ns] in the user's name of a column, or else in the column's name; or None."""
     match = _BRACKETED.search(name) or _BRACKETED.search(column) or _NAMED.search(column.strip())
     return _NS[match[1].lower()] if match else None
 
 
 def date_time_ns(text: str) -> int | None:
-    """A date and time as ns since 1970, a time of day as ns since midnight; None if it is none."""
+    """A date and time as ns since 1970, a time of day as ns since midnight; None for other text."""
     match = _DATE_TIME.fullmatch(text)
     if match is not None:
         *date, hour, minute, second, fraction, zone = match.groups()
@@ -65,12 +65,12 @@ def date_time_ns(text: str) -> int | None:
 
 
 def is_time_of_day(text: str) -> bool:
-    """Whether it is a time of day without a date."""
+    """Return whether a text is a time of day without a date."""
     return _TIME_OF_DAY.fullmatch(text) is not None
 
 
 def past_midnight(times_ns: np.ndarray) -> np.ndarray:
-    """Times of day in order as times of one axis, (n,) [ns]."""
+    """Times of day in order, continued past midnight on one axis, (n,) [ns]."""
     days = np.cumsum(np.diff(times_ns, prepend=times_ns[:1]) < -_DAY_NS // 2)
     moved: np.ndarray = times_ns + days * _DAY_NS
     return moved
