@@ -150,8 +150,8 @@ def _of_way(profile: DelayProfile, way: int) -> np.ndarray:
     if part < _ENOUGH:
         raise ProfileError(
             f"profile {profile.name}: expected {DIRECTIONS[way]}_capacity_bytes, or a message in "
-            f"every period of {profile.period_ns * 1e-6:g} ms, got {part:.3g}: what the link could "
-            "have carried in between nobody measured; replay its delays, without capacity:"
+            f"every period of {profile.period_ns * 1e-6:g} ms, got {part:.3g}: the capacity "
+            "in between was not measured; replay its delays, without capacity:"
         )
     size = next((profile.metadata[key] for key in _SIZES[way] if key in profile.metadata), None)
     if not isinstance(size, int | float) or not size > 0:

@@ -1,4 +1,4 @@
-"""Checks the words that people read against the rules of CONTRIBUTING.md: see `main`.
+"""Checks the words that people read against the rules of CONTRIBUTING.md: `./deploy/lint prose`.
 
 Reads the Markdown pages and, from the Python sources, the docstrings, the help texts and the texts
 of errors. Prints one line for each place that breaks a rule: file, line, rule, and the words.

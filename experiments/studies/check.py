@@ -64,7 +64,9 @@ def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, metavar="S", help="seed of the sample; default: any")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
     parser.add_argument(
-        "--exact", action="store_true", help="expect the same bits, whatever has changed since"
+        "--exact",
+        action="store_true",
+        help="expect the same bits, also from other code or packages",
     )
 
 

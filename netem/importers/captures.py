@@ -118,8 +118,8 @@ def _matched(
             flow = " > ".join(str(ipaddress.ip_address(end)) for end in near[here[0]].flow)
             raise ProfileError(
                 f"{files}: {len(here)} packets {flow} in the one and {len(there)} in the other are "
-                f"alike in all that both hold ({_in_bytes(compared)}): which of them are missing "
-                "nobody can tell; capture whole packets (-s 0) on one interface each, or leave out "
+                f"alike in all that both hold ({_in_bytes(compared)}), so that the missing ones "
+                "cannot be told; capture whole packets (-s 0) on one interface each, or leave out "
                 "that flow"
             )
         pairs = zip(here, there, strict=False) if alike else _in_turn(near, here, far, there)

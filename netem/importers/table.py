@@ -124,7 +124,7 @@ def _joined(path: Path, options: Options, direction: int) -> Measured:
     first = {key: k for k, key in reversed(list(enumerate(near.ids)))}
     if len(first) < len(near.ids):
         twice = next(k for k, key in enumerate(near.ids) if first[key] != k)
-        raise wrong(path, near.rows[twice], "an id of its own", near.ids[twice])
+        raise wrong(path, near.rows[twice], "an id that no other row has", near.ids[twice])
     sent, times = near.values[keys[0]], far.values[keys[1]]
     arrived: dict[str, int] = {}
     for key, time in zip(far.ids, times.tolist(), strict=True):

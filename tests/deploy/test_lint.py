@@ -25,7 +25,7 @@ def hooks() -> list[dict[str, Any]]:
 
 def test_without_arguments_all_checks_run() -> None:
     (default,) = re.findall(r"\|\| set -- (.*)$", LINT, re.MULTILINE)
-    assert default.split() == CHECKS == ["ruff", "imports", "types"]
+    assert default.split() == CHECKS == ["ruff", "imports", "types", "prose"]
 
 
 def test_every_check_is_a_hook_on_the_whole_project(hooks: list[dict[str, Any]]) -> None:
@@ -49,5 +49,5 @@ def test_an_unknown_check_is_refused_in_one_line() -> None:
     told = played(str(ROOT / "deploy/lint"), "mypy")
     assert told.returncode == 2
     assert told.stderr == (
-        "lint: expected ruff, imports or types, got mypy; ./deploy/lint runs all three\n"
+        "lint: expected ruff, imports, types or prose, got mypy; ./deploy/lint runs them all\n"
     )
