@@ -159,6 +159,8 @@ def run_generate(arguments: argparse.Namespace) -> int:
         raise ConfigError(
             f"seconds: expected from 0.1 to {MAX_SECONDS:g}, got {arguments.seconds:g}"
         )
+    uplink_bytes = parse_bytes("uplink", arguments.uplink)
+    downlink_bytes = parse_bytes("downlink", arguments.downlink)
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -168,8 +170,8 @@ def run_generate(arguments: argparse.Namespace) -> int:
         count=arguments.count,
         seed=arguments.seed,
         seconds=arguments.seconds,
-        uplink_bytes=parse_bytes("uplink", arguments.uplink),
-        downlink_bytes=parse_bytes("downlink", arguments.downlink),
+        uplink_bytes=uplink_bytes,
+        downlink_bytes=downlink_bytes,
     )
     longest, stalls, lost, again = 0.0, 0, 0, 0
     for k, profile in enumerate(profiles):

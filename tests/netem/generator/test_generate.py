@@ -220,11 +220,15 @@ def command(monkeypatch):
 
 
 @pytest.fixture
-def refused(command, capsys):
+def refused(command, capsys, monkeypatch, tmp_path):
     """Its one line on standard error."""
+
+    # A refused command makes no folder.
+    monkeypatch.chdir(tmp_path)
 
     def call(*flags):
         assert command(*flags) == 2
+        assert not any(path.is_dir() for path in tmp_path.iterdir())
         error = capsys.readouterr().err
         assert error.count("\n") == 1
         return error
