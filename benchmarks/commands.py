@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import signal
-import sys
 
 from benchmarks import against, capacity, core, floor, lockstep, netem, peers, viewer
+from benchmarks.termination import exit_at_termination
 from shared.errors import ConfigError
 from shared.process.cli import EXIT_STANDING
 
@@ -25,8 +24,7 @@ def run_core(arguments: argparse.Namespace) -> int:
     # The first ticks of a trial are left out.
     if not 0.2 <= arguments.seconds <= 60.0:
         raise ConfigError(f"--seconds: expected 0.2 to 60, got {arguments.seconds:g}")
-    # A termination leaves no processes behind, nor another checkout.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    exit_at_termination()
     if arguments.against is not None:
         print(against.run(arguments.against, rounds=arguments.rounds, seconds=arguments.seconds))
     else:
@@ -46,7 +44,7 @@ def add_floor_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_floor(arguments: argparse.Namespace) -> int:
     _check_count("--repetitions", arguments.repetitions)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    exit_at_termination()
     print(floor.run(repetitions=arguments.repetitions))
     return EXIT_STANDING
 
@@ -57,7 +55,7 @@ def add_peers_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_peers(arguments: argparse.Namespace) -> int:
     _check_count("--rounds", arguments.rounds)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    exit_at_termination()
     print(peers.run(rounds=arguments.rounds))
     return EXIT_STANDING
 
@@ -75,8 +73,7 @@ def run_netem(arguments: argparse.Namespace) -> int:
     # The shim logs 3.6 million messages.
     if not 1.0 <= arguments.seconds <= 1200.0:
         raise ConfigError(f"--seconds: expected 1 to 1200, got {arguments.seconds:g}")
-    # A termination leaves no processes behind, nor namespaces.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    exit_at_termination()
     print(netem.run(seconds=arguments.seconds))
     return EXIT_STANDING
 
@@ -114,7 +111,6 @@ def run_viewer(arguments: argparse.Namespace) -> int:
     # The viewer is disturbed after two seconds.
     if not 3.0 <= arguments.seconds <= 600.0:
         raise ConfigError(f"--seconds: expected 3 to 600, got {arguments.seconds:g}")
-    # A termination leaves no processes behind.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    exit_at_termination()
     print(viewer.run(seconds=arguments.seconds, repetitions=arguments.repetitions))
     return EXIT_STANDING

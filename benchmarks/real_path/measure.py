@@ -13,7 +13,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -21,6 +20,7 @@ from typing import Any
 
 from benchmarks.real_path.long_cable import machines_on_long_cable
 from benchmarks.real_path.namespaces import Machine, Machines, two_machines
+from benchmarks.termination import exit_at_termination
 from deploy.keys import make
 from shared.config.settings import RobotConfig
 from shared.errors import LinkError
@@ -58,8 +58,7 @@ def add_real_path_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_real_path(arguments: argparse.Namespace) -> int:
     """Print a row of the table for each case, as it is measured."""
-    # A termination leaves nothing behind either.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    exit_at_termination()
     found = versions()
     print(f"{found['platform']}, {os.cpu_count()} cores, Zenoh {found['eclipse-zenoh']}\n")
     print("| cable | round trip | over | send buffer | age p50, p99 ms | sent | received | lost |")
