@@ -25,7 +25,6 @@ from netem.profile import DIRECTIONS, DelayProfile
 from netem.statistics import delays_ms, outages
 from shared.config.controllers import CONTROLLERS
 from shared.config.quantities import parse_push
-from shared.config.settings import RunConfig
 from shared.errors import ConfigError
 from shared.output.figure import save_figure
 from shared.output.text_table import aligned
@@ -174,12 +173,7 @@ def study_of(
         {
             "name": f"link-{name.replace('/', '-').replace(':', '-')}",
             "description": f"every controller over all of {network}",
-            "base": {
-                "link.network": network,
-                "duration": window,
-                "push": [push],
-                "wire.projector_dtype": RunConfig().wire.projector_dtype,
-            },
+            "base": {"link.network": network, "duration": window, "push": [push]},
             "grid": {"controller": list(dict.fromkeys(controllers))},
             "cells": [
                 {"name": name, "link.start": f"{start:.6f}s"} for name, start in starts.items()
@@ -210,25 +204,25 @@ def table(rows: Sequence[Row], found: Sequence[LinkOutage]) -> list[str]:
 
 def verdicts(rows: Sequence[Row], profile: DelayProfile, found: Sequence[LinkOutage]) -> list[str]:
     """A sentence for each controller, and one for each trial that ended with an error."""
-    said = []
+    lines = []
     for controller, played in _by_controller(rows).items():
         fallen = [row for row in played if row["fell"]]
         name = controller.upper()
         if not fallen:
-            said.append(f"{name} stands in all {len(played)} windows.")
+            lines.append(f"{name} stands in all {len(played)} windows.")
             continue
-        said.append(f"{name} falls in {len(fallen)} of {len(played)} windows:")
+        lines.append(f"{name} falls in {len(fallen)} of {len(played)} windows:")
         for row in sorted(fallen, key=lambda row: row["start"]):
             at = (row["start"] + row["task_seconds"]) % (profile.duration_ns * 1e-9)
             met = _met(row, found)
             reason = f" after an outage of {met * 1e3:.0f} ms" if met else ", with no outage before"
-            said.append(f"  at {at:.2f} s of the link{reason} ({row['cell']})")
-    said += [
+            lines.append(f"  at {at:.2f} s of the link{reason} ({row['cell']})")
+    lines += [
         f"{row['controller'].upper()}, {row['cell']}: {row['error']}"
         for row in rows
         if row["error"] is not None
     ]
-    return said
+    return lines
 
 
 def draw(rows: Sequence[Row], profile: DelayProfile, path: Path) -> None:
