@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks import in_loop
 from benchmarks.link_paths import end_with_parent
-from benchmarks.start_up import import_ns
+from benchmarks.start_up import start_up_ns
 from benchmarks.timing import Ratio, header
 from shared.commands import CHECKOUT
 from shared.errors import UserError
@@ -86,10 +86,10 @@ def run(commit: str, *, rounds: int, seconds: float) -> str:
         lines.append([*_line(name, others["trial"], ours["trial"])[:-1], ""])
         ours, others = _alternating(
             sides,
-            lambda side: {"cpu": np.array([import_ns("robot_node.__main__", side.folder)])},
+            lambda side: {"cpu": np.array([start_up_ns("robot_node.__main__", side.folder)])},
             rounds,
         )
-        lines.append([*_line("import of robot_node", ours["cpu"], others["cpu"])[:-1], ""])
+        lines.append([*_line("start of robot_node", ours["cpu"], others["cpu"])[:-1], ""])
     return "\n".join(
         [
             f"{top}; other: {identity}",

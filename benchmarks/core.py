@@ -16,17 +16,19 @@ import pinocchio as pin
 
 from benchmarks import messages
 from benchmarks.in_loop import EDGE, NETWORK, NODES, WHOLE, Call, Part, ticks, timed_calls
-from benchmarks.start_up import SERVICES, import_ns
+from benchmarks.start_up import SERVICES, start_up_ns
 from benchmarks.timing import Timing, header, measure, table
 from shared.config.settings import CORRECTION_LEVELS, RunConfig
 from shared.motion.standing import Standing
 from shared.output.text_table import aligned
 from shared.robots import Robot, load_robot
+from shared.wbc.answer import Factorisation, Projector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import Corrector, Factorisation, Iterate, factorise_kkt
+from shared.wbc.correction import Corrector, Iterate
+from shared.wbc.factorisation import factorise_kkt
 from shared.wbc.least_norm import LeastNorm
 from shared.wbc.model import Jacobians, Kinematics, WholeBodyModel
-from shared.wbc.projector import Projector, condense, full_problem, hold, solve
+from shared.wbc.projector import condense, full_problem, hold, solve
 from shared.wbc.qp import DaqpSolver, ProxsuiteSolver, QuadraticProgram
 from shared.wbc.stack import Stack, StackMatrices
 
@@ -101,7 +103,7 @@ def run(*, repetitions: int, seed: int, seconds: float) -> str:
             f"messages to and from another process, {messages.MESSAGES} at 1 kHz; processor time",
             *aligned(messages.lines(messages.ours), left=1),
             "",
-            "start-up: processor time of a Python that imports a service",
+            "start-up: processor time of a service that prints its --help",
             *_start_up(),
         ]
     )
@@ -151,7 +153,7 @@ def _part_line(name: str, durations: np.ndarray, n_ticks: int) -> list[str]:
 def _start_up() -> list[str]:
     lines = [["", "p50 [s]", "least–most"]]
     for service in SERVICES:
-        seconds = [import_ns(f"{service}.__main__") * 1e-9 for _ in range(_STARTS)]
+        seconds = [start_up_ns(f"{service}.__main__") * 1e-9 for _ in range(_STARTS)]
         spread = f"{min(seconds):.2f}–{max(seconds):.2f}"
         lines.append([service, f"{np.median(seconds):.2f}", spread])
     return aligned(lines, left=1)

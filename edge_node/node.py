@@ -18,11 +18,12 @@ from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
 from shared.robots import Robot
 from shared.telemetry.schema import SOLVE_SCHEMA
+from shared.wbc.answer import TimedProjector
 from shared.wbc.projector import WholeBodySolution
 from shared.wbc.qp import QpStatus
 from shared.wbc.reference import Motion, coming_switches
 from shared.wbc.torque import recover_torque
-from shared.wbc.whole_body import TimedProjector, WholeBodyController
+from shared.wbc.whole_body import WholeBodyController
 from shared.wire.codec import Codec
 from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
 

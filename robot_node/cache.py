@@ -15,11 +15,10 @@ import numpy as np
 
 from shared.bus.base import RefusalCounter
 from shared.errors import MessageRefused
+from shared.wbc.answer import Factorisation, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import Corrector, Factorisation
-from shared.wbc.projector import Projector
+from shared.wbc.correction import Corrector
 from shared.wbc.stack import Stack
-from shared.wbc.whole_body import TimedProjector
 from shared.wire.codec import Codec
 from shared.wire.messages import FactorisationMessage, ProjectorMessage
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -19,10 +19,12 @@ from robot_node.cache import CacheEntry, FactorisationCache, ProjectorCache
 from shared.config.settings import RunConfig, SwitchConfig
 from shared.errors import MessageRefused
 from shared.robots import Robot
+from shared.wbc.answer import Factorisation, TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import Factorisation
 from shared.wbc.reference import Motion, coming_switches
-from shared.wbc.whole_body import TimedProjector, WholeBodyController
+
+if TYPE_CHECKING:
+    from shared.wbc.whole_body import WholeBodyController
 
 # The computation of an on-board computer at (q, v) for a target.
 Solve = Callable[[np.ndarray, np.ndarray, int], Any]
@@ -32,7 +34,7 @@ MakeSolve = Callable[[Robot, RunConfig, Motion], Solve]
 
 def projector_solve(robot: Robot, config: RunConfig, motion: Motion) -> Solve:
     """A projector for the contact mode of a task time [ns]."""
-    controller = WholeBodyController(robot, config.wbc, motion)
+    controller = _whole_body_controller(robot, config, motion)
 
     def project(q: np.ndarray, v: np.ndarray, time_ns: int) -> TimedProjector | None:
         return controller.projector_for(q, v, time_ns=time_ns)
@@ -42,12 +44,19 @@ def projector_solve(robot: Robot, config: RunConfig, motion: Motion) -> Solve:
 
 def factorisation_solve(robot: Robot, config: RunConfig, motion: Motion) -> Solve:
     """The factorisation of a contact mode, by its number."""
-    controller = WholeBodyController(robot, config.wbc, motion)
+    controller = _whole_body_controller(robot, config, motion)
 
     def factorise(q: np.ndarray, v: np.ndarray, mode: int) -> tuple[Factorisation, ...] | None:
         return controller.factorise(q, (ContactMode(mode),), damping=config.correction.damping)
 
     return factorise
+
+
+def _whole_body_controller(robot: Robot, config: RunConfig, motion: Motion) -> WholeBodyController:
+    # A robot that does not solve loads neither the solvers nor SciPy.
+    from shared.wbc.whole_body import WholeBodyController
+
+    return WholeBodyController(robot, config.wbc, motion)
 
 
 class OnBoardComputer(Protocol):

@@ -10,11 +10,9 @@ import msgpack
 import numpy as np
 
 from shared.robots import Robot
+from shared.wbc.answer import Factorisation, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import Factorisation
-from shared.wbc.projector import Projector
 from shared.wbc.stack import Stack
-from shared.wbc.whole_body import TimedProjector
 from shared.wire.messages import (
     FactorisationMessage,
     ProjectorMessage,

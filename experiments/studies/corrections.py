@@ -20,8 +20,10 @@ from shared.motion.plan import make_motion
 from shared.output.figure import save_figure
 from shared.output.versions import versions
 from shared.robots import load_robot
+from shared.wbc.answer import Factorisation
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import Corrector, Factorisation, Iterate, factorise_kkt
+from shared.wbc.correction import Corrector, Iterate
+from shared.wbc.factorisation import factorise_kkt
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import full_problem
 from shared.wbc.qp import make_solver

@@ -24,51 +24,11 @@ from dataclasses import dataclass
 import daqp
 import numpy as np
 
+from shared.wbc.answer import Factorisation
 from shared.wbc.contacts import FORCES_PER_FOOT, ContactMode
 from shared.wbc.finite import all_finite
 from shared.wbc.model import Kinematics, RowMultipliers, WholeBodyModel
-from shared.wbc.projector import spd_inverse
-from shared.wbc.stack import N_DYNAMICS, ROWS_PER_CONTACT, Stack, StackMatrices
-
-
-@dataclass(frozen=True, slots=True)
-class Factorisation:
-    """Blocks of the inverse KKT matrix of one contact mode at one posture.
-
-    `P` (n, n) symmetric, `Q` (n, n_e), `T` (n_e, n_e) symmetric, `A` (n_t, nv) the √ω-weighted task
-    rows; `posture` (nv − 6,) joint positions at which they were computed [rad]. No block depends on
-    the position or orientation of the base.
-    """
-
-    mode: ContactMode
-    P: np.ndarray
-    Q: np.ndarray
-    T: np.ndarray
-    A: np.ndarray
-    posture: np.ndarray
-
-
-def factorise_kkt(
-    stack: Stack, matrices: StackMatrices, posture: np.ndarray, *, damping: float = 0.0
-) -> Factorisation:
-    """The blocks at one configuration. `numpy.linalg.LinAlgError` if the rows are dependent.
-
-    `damping` is added to the diagonal of AᵀA: a larger H than the true one, for level C.
-    """
-    n_a, n_f = stack.layout.n_accelerations, stack.layout.n_forces
-    n_e = matrices.E_a.shape[0]
-    H_a = matrices.A.T @ matrices.A
-    H_a.flat[:: n_a + 1] += damping
-    P_0 = np.zeros((n_a + n_f, n_a + n_f))
-    P_0[:n_a, :n_a] = spd_inverse(H_a)
-    P_0.flat[n_a * (n_a + n_f + 1) :: n_a + n_f + 1] = 1.0 / stack.force_weight
-    E = np.zeros((n_e, n_a + n_f))
-    E[:, :n_a] = matrices.E_a
-    E[:N_DYNAMICS, n_a:] = matrices.E_f
-    E_P = E @ P_0
-    T = spd_inverse(E_P @ E.T)
-    Q = E_P.T @ T
-    return Factorisation(stack.mode, P_0 - Q @ E_P, Q, T, matrices.A, posture)
+from shared.wbc.stack import N_DYNAMICS, ROWS_PER_CONTACT, Stack
 
 
 @dataclass(slots=True)
@@ -116,7 +76,7 @@ class Corrector:
         self._K = np.ascontiguousarray(np.hstack([Q, P[:, :n_a] @ A.T]))
         self._regularisation = np.ascontiguousarray(stack.force_weight * P[:, n_a:])
         # λ acts through forces: moving f in the metric of P_ff⁻¹ moves y by P Cᵀ λ.
-        self._F = spd_inverse(P[n_a:, n_a:])
+        self._F = _spd_inverse(P[n_a:, n_a:])
         self._y_from_f = np.ascontiguousarray(P[:, n_a:] @ self._F)
         self._qp = daqp.Model()
         C, l = stack.contacts.C, stack.contacts.l  # noqa: E741
@@ -203,6 +163,15 @@ class Corrector:
 
 
 _SENSE = np.zeros(64, dtype=np.int32)
+
+
+def _spd_inverse(matrix: np.ndarray) -> np.ndarray:
+    np.linalg.cholesky(matrix)  # raises LinAlgError if it is not positive definite
+    inverse = np.linalg.inv(matrix)
+    if not all_finite(inverse):
+        raise np.linalg.LinAlgError("not positive definite")
+    whole: np.ndarray = 0.5 * (inverse + inverse.T)
+    return whole
 
 
 def _forces(n_a: int, k: int) -> slice:

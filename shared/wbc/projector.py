@@ -13,13 +13,12 @@ optimal. Otherwise a solver finds it, in f alone (n_f = 24 or 12). Exact: no ter
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri, dtrtrs
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri, dtrtrs
 
-from shared.wbc.contacts import ContactMode
+from shared.wbc.answer import Projector
 from shared.wbc.least_norm import LeastNorm
 from shared.wbc.qp import QpSolver, QpStatus, QuadraticProgram
 from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
@@ -27,25 +26,6 @@ from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
 # How clearly a set must be optimal to be taken without asking a solver [N]. Well above the solvers'
 # own tolerances: they would find the same set, so an answer does not depend on the states before.
 _CLEARLY = 1e-4
-
-
-@dataclass(frozen=True, slots=True)
-class Projector:
-    """A† of one optimal active set. `A_dagger` (n, n_rows); `active` row indices of C."""
-
-    mode: ContactMode
-    A_dagger: np.ndarray
-    active: np.ndarray
-
-    @property
-    def active_set(self) -> int:
-        """`active` as a bit mask, see `ContactMode.active_set`."""
-        return self.mode.active_set(self.active)
-
-    def apply(self, b: np.ndarray) -> np.ndarray:
-        """y = A† b, Eq. (4); shape (n,): accelerations, then contact forces."""
-        y: np.ndarray = self.A_dagger.dot(b)
-        return y
 
 
 def condense(stack: Stack, problem: LeastNorm, b: np.ndarray) -> QuadraticProgram:
@@ -158,18 +138,6 @@ def full_problem(stack: Stack, matrices: StackMatrices, b: np.ndarray) -> Quadra
     E[:N_DYNAMICS, n_a:] = matrices.E_f
     C = np.hstack([np.zeros((stack.contacts.C.shape[0], n_a)), stack.contacts.C])
     return QuadraticProgram(H=H, g=g, C=C, l=stack.contacts.l, E=E, e=b[stack.equality_rows])
-
-
-def spd_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of a symmetric positive definite matrix by its Cholesky factor."""
-    factor, info = dpotrf(matrix, lower=1, clean=1)
-    if info == 0:
-        inverse, info = dpotri(factor, lower=1, overwrite_c=1)
-    if info != 0 or not math.isfinite(inverse[-1, -1]):
-        raise np.linalg.LinAlgError("not positive definite")
-    inverse.reshape(-1, order="F")[:: matrix.shape[0] + 1] *= 0.5
-    whole: np.ndarray = inverse + inverse.T
-    return whole
 
 
 def _cholesky(matrix: np.ndarray) -> np.ndarray:

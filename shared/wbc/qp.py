@@ -17,7 +17,6 @@ from typing import ClassVar, Protocol
 import daqp
 import numpy as np
 from proxsuite import proxqp
-from scipy.linalg import qr
 
 from shared.errors import ConfigError
 
@@ -213,6 +212,8 @@ def independent_rows(problem: QuadraticProgram, candidates: np.ndarray) -> np.nd
     if problem.E is not None and problem.E.shape[0]:
         _, _, basis = np.linalg.svd(problem.E)
         rows = rows @ basis[problem.E.shape[0] :].T
+    from scipy.linalg import qr  # not loaded by a robot until it is needed
+
     _, triangular, order = qr(rows.T, mode="economic", pivoting=True)
     diagonal = np.abs(np.diag(triangular))
     rank = int(np.sum(diagonal > 1e-9 * diagonal[0]))

@@ -5,30 +5,20 @@ The edge runs it, and so does the robot's on-board computer around a contact swi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from shared.config.settings import WbcConfig
 from shared.robots import Robot
+from shared.wbc.answer import Factorisation, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import Factorisation, factorise_kkt
+from shared.wbc.factorisation import factorise_kkt
 from shared.wbc.model import WholeBodyModel
-from shared.wbc.projector import Projector, WholeBodySolution, solve
+from shared.wbc.projector import WholeBodySolution, solve
 from shared.wbc.qp import make_solver
 from shared.wbc.reference import Motion
 from shared.wbc.stack import make_stacks
 
 FOR_EVER_NS = 2**62
-
-
-@dataclass(frozen=True, slots=True)
-class TimedProjector:
-    """A projector with the task times between which it may be used [ns]."""
-
-    projector: Projector
-    valid_from_ns: int
-    valid_until_ns: int
 
 
 class WholeBodyController:

@@ -22,13 +22,11 @@ import numpy as np
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError, MessageRefused
 from shared.robots import Robot
+from shared.wbc.answer import Factorisation, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import Factorisation
 from shared.wbc.finite import all_finite
-from shared.wbc.projector import Projector
 from shared.wbc.reference import Motion
 from shared.wbc.stack import RowLayout, make_stacks
-from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.form import INTEGER, SMALL, Form, binary
 from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shared.wbc.answer import Factorisation, TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import Factorisation
-from shared.wbc.whole_body import TimedProjector
 
 
 @dataclass(slots=True)

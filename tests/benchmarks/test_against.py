@@ -54,7 +54,7 @@ def test_the_table_has_a_line_for_every_trial_and_leaves_no_checkout(repository,
         return {name: np.array([1.0 + (side.folder == ROOT)]) for name in against._TICK}
 
     monkeypatch.setattr(against._Side, "play", made_up)
-    monkeypatch.setattr(against, "import_ns", lambda module, folder: 5)
+    monkeypatch.setattr(against, "start_up_ns", lambda module, folder: 5)
     monkeypatch.setattr(against, "header", lambda: "a machine")
     before = git("worktree", "list")
     lines = against.run("HEAD", rounds=2, seconds=0.5).splitlines()

@@ -48,7 +48,7 @@ def test_a_flag_that_cannot_be_used_is_refused_in_a_line(typed):
 
 
 def test_core_has_trials_alternatives_messages_and_start_up(no_messages, monkeypatch):
-    monkeypatch.setattr(core, "import_ns", lambda module: 500_000_000)
+    monkeypatch.setattr(core, "start_up_ns", lambda module: 500_000_000)
     monkeypatch.setattr(core, "_TRIALS", (("balance", "la"),))
     text = core.run(repetitions=2, seed=0, seconds=0.3)
     assert text.startswith("a machine; seed 0")

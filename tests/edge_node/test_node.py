@@ -9,7 +9,7 @@ from edge_node.node import EdgeNode
 from shared.config.settings import CorrectionConfig
 from shared.telemetry.schema import SOLVE_SCHEMA
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import factorise_kkt
+from shared.wbc.factorisation import factorise_kkt
 from shared.wbc.qp import QpStatus
 from shared.wbc.torque import recover_torque
 from shared.wbc.whole_body import WholeBodyController

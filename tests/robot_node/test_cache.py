@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from robot_node.cache import CacheEntry, FactorisationCache, ProjectorCache
+from shared.wbc.answer import TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.whole_body import TimedProjector
 from shared.wire.codec import Codec
 from tests.messages import (
     FOR_EVER_NS,

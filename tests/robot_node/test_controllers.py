@@ -14,9 +14,9 @@ from shared.config.controllers import CONTROLLERS
 from shared.errors import ConfigError
 from shared.motion.plan import make_motion
 from shared.telemetry.schema import Source
+from shared.wbc.answer import TimedProjector
 from shared.wbc.contacts import ContactMode
 from shared.wbc.torque import recover_torque
-from shared.wbc.whole_body import TimedProjector
 from shared.wire.codec import Codec
 from tests.messages import make_answer, make_projector
 

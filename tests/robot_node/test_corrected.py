@@ -15,7 +15,8 @@ from shared.robots import Foot
 from shared.robots.description import sole_frame_name
 from shared.telemetry.schema import Source
 from shared.wbc.contacts import FORCES_PER_FOOT, ContactMode
-from shared.wbc.correction import Corrector, Iterate, factorise_kkt
+from shared.wbc.correction import Corrector, Iterate
+from shared.wbc.factorisation import factorise_kkt
 from shared.wbc.projector import full_problem
 from shared.wbc.qp import make_solver
 from shared.wire.codec import Codec

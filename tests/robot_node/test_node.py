@@ -12,7 +12,7 @@ from robot_node.node import RobotNode
 from robot_node.safety import JointHold, TorqueGuard
 from robot_node.tick import Tick
 from shared.telemetry.schema import Source
-from shared.wbc.whole_body import TimedProjector
+from shared.wbc.answer import TimedProjector
 from shared.wire.codec import Codec
 from tests.messages import altered, make_state
 from tests.robot_node.bench import DEADLINE_NS, MS, SESSION, Bench, nothing

@@ -11,9 +11,8 @@ import pytest
 
 from robot_node.onboard import ModelledComputer, OnBoardRefresh, OnBoardWindow
 from shared.config.settings import CorrectionConfig, RunConfig, SwitchConfig
+from shared.wbc.answer import Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.projector import Projector
-from shared.wbc.whole_body import TimedProjector
 
 MS = 1_000_000
 LEFT, DOUBLE = ContactMode.LEFT_SUPPORT, ContactMode.DOUBLE_SUPPORT

@@ -6,7 +6,8 @@ import numpy as np
 import pinocchio as pin
 
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import Corrector, Iterate, factorise_kkt
+from shared.wbc.correction import Corrector, Iterate
+from shared.wbc.factorisation import factorise_kkt
 from shared.wbc.projector import full_problem
 from shared.wbc.qp import QpStatus, make_solver
 

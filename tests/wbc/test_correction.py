@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from shared.wbc.answer import Factorisation
 from shared.wbc.contacts import FORCES_PER_FOOT
-from shared.wbc.correction import Corrector, Factorisation, Iterate
+from shared.wbc.correction import Corrector, Iterate
 from tests.states import State
 from tests.wbc.correction_bench import (
     DOUBLE,

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from shared.robots import Foot
-from shared.wbc.correction import Iterate, factorise_kkt
+from shared.wbc.correction import Iterate
+from shared.wbc.factorisation import factorise_kkt
 from shared.wbc.model import RowMultipliers
 from shared.wbc.whole_body import WholeBodyController
 from tests.wbc.correction_bench import DOUBLE, LEFT, RIGHT, TURNS, moved, relative

@@ -14,8 +14,9 @@ import itertools
 import numpy as np
 import pytest
 
+from shared.wbc.answer import Projector
 from shared.wbc.contacts import ROWS_PER_POINT, ContactMode
-from shared.wbc.projector import Projector, condense, full_problem, hold, is_optimal, solve
+from shared.wbc.projector import condense, full_problem, hold, is_optimal, solve
 from shared.wbc.qp import DaqpSolver, ProxsuiteSolver, QpStatus
 from shared.wbc.stack import Stack, StackMatrices
 from tests.wbc.kkt import are_independent, kkt, solution_of_active_set

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from shared.errors import ConfigError
+from shared.wbc.answer import TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.codec import Codec
 from tests.messages import make_answer, make_projector, make_state

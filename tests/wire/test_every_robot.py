@@ -7,9 +7,9 @@ import pytest
 from shared.config.config_file import load_config
 from shared.motion.standing import Standing
 from shared.robots import CATALOGUE, load_robot
+from shared.wbc.answer import TimedProjector
 from shared.wbc.contacts import ContactMode
 from shared.wbc.stack import Stack
-from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.codec import Codec
 from tests.messages import make_answer, make_correction, make_projector, make_state

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from shared.motion.plan import make_motion
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import factorise_kkt
+from shared.wbc.factorisation import factorise_kkt
 from shared.wire.channels import DOWNLINK
 from shared.wire.codec import Codec
 from tests.messages import altered, make_answer, make_correction, make_factorisation, make_state

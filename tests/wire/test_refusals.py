@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.errors import MessageRefused
+from shared.wbc.answer import TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.whole_body import TimedProjector
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.codec import Codec
 from tests.messages import altered, make_answer, make_projector, make_state
