@@ -15,6 +15,7 @@ COMMANDS = (
     Subcommand("lockstep", "speed of a trial", "benchmarks.commands"),
     Subcommand("netem", "how exactly the link is emulated", "benchmarks.commands"),
     Subcommand("peers", "beside TSID and placo, in ratios", "benchmarks.commands"),
+    Subcommand("recording", "recorded against replayed delays", "benchmarks.commands"),
     Subcommand(
         "real-path", "two namespaces and a slow cable, as root", "benchmarks.real_path.measure"
     ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from benchmarks import against, capacity, core, floor, lockstep, netem, peers, viewer
+from benchmarks import against, capacity, core, floor, lockstep, netem, peers, recording, viewer
 from benchmarks.termination import exit_at_termination
 from shared.errors import ConfigError
 from shared.process.cli import EXIT_STANDING
@@ -85,6 +85,18 @@ def add_capacity_arguments(parser: argparse.ArgumentParser) -> None:
 def run_capacity(arguments: argparse.Namespace) -> int:
     del arguments
     print(capacity.run())
+    return EXIT_STANDING
+
+
+def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each recording; 10")
+
+
+def run_recording(arguments: argparse.Namespace) -> int:
+    if not 1.0 <= arguments.seconds <= 600.0:
+        raise ConfigError(f"--seconds: expected 1 to 600, got {arguments.seconds:g}")
+    exit_at_termination()
+    print(recording.run(seconds=arguments.seconds))
     return EXIT_STANDING
 
 

@@ -23,7 +23,7 @@ from netem.tun import DEVICE, EDGE_ADDRESS, ROBOT_ADDRESS, why_not_permitted
 from shared.errors import LinkError
 from shared.process.entry import python
 
-_READY_SECONDS = 60.0
+READY_SECONDS = 60.0
 _END_SECONDS = 30.0
 _PR_SET_PDEATHSIG = 1
 _NAMESPACES = ("wbc-bench-robot", "wbc-bench-edge")
@@ -49,15 +49,15 @@ class Started:
         )
         self._heard = b""
 
-    def wait_for(self, word: str) -> None:
+    def wait_for(self, word: str, *, seconds: float = READY_SECONDS) -> None:
         """Wait until the process has printed `word`. Raise `LinkError` if it ends before."""
         assert self._popen.stdout is not None
-        deadline = time.monotonic() + _READY_SECONDS
+        deadline = time.monotonic() + seconds
         while word.encode() not in self._heard:
             left = max(0.0, deadline - time.monotonic())
             readable, _, _ = select.select([self._popen.stdout], (), (), left)
             if not readable:
-                raise LinkError(f"{self._name} did not say {word} within {_READY_SECONDS:g} s")
+                raise LinkError(f"{self._name} did not say {word} within {seconds:g} s")
             chunk = os.read(self._popen.stdout.fileno(), 65_536)
             if not chunk:
                 raise LinkError(f"{self._name} ended without saying {word}")

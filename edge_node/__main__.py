@@ -17,7 +17,7 @@ from shared.commands import python_module
 from shared.motion.plan import make_motion
 from shared.output.report import edge_report
 from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
-from shared.process.realtime import prepare, suspend_garbage_collection
+from shared.process.realtime import RealtimeBudget, prepare, suspend_garbage_collection
 from shared.process.service import (
     EDGE_ENDPOINT,
     ServiceLog,
@@ -73,8 +73,9 @@ def main() -> int:
     where = arguments.connect or arguments.listen
     print(f"READY {where} for {me.robot} ({scheduling}; {config.wbc.solver})", flush=True)
 
-    monitor = ClientMonitor()
+    monitor, budget = ClientMonitor(), RealtimeBudget()
     while not stop.requested:
+        budget.keep(time.monotonic_ns())
         heard = inbox.wait(_POLL_NS)
         for data in inbox.take():
             node.receive(data)

@@ -17,6 +17,7 @@ from shared.bus.base import Delivery, Inbox, Publisher
 from shared.clock import MonotonicClock, Ticker, sleep_until
 from shared.config.settings import LoopConfig
 from shared.errors import LinkError
+from shared.process.realtime import RealtimeBudget
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import Source
 
@@ -89,7 +90,9 @@ class LiveLoop:
         begun_ns = clock.now_ns()
         ticker = Ticker(start_ns=begun_ns, period_ns=config.period_ns)
         task_began_ns = begun_ns
+        budget = RealtimeBudget()
         while node.time_ns < duration_ns and not node.fallen and not stopping():
+            budget.keep(clock.now_ns())
             sleep_until(ticker.due_ns)
             now_ns = clock.now_ns()
             late_ns = now_ns - ticker.due_ns

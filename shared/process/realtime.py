@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import math
 import os
 import sys
 import time
+from pathlib import Path
 
 _PR_SET_TIMERSLACK = 29
+_RUNTIME, _PERIOD = (Path(f"/proc/sys/kernel/sched_rt_{name}_us") for name in ("runtime", "period"))
 
 
 def prepare(*, priority: int) -> str:
@@ -26,6 +29,49 @@ def prepare(*, priority: int) -> str:
     except (OSError, AttributeError):
         return "ordinary scheduling (real-time needs root or an rtprio limit)"
     return f"SCHED_FIFO {priority}"
+
+
+class RealtimeBudget:
+    """Keeps a loop below the share of a core at which Linux stops real-time threads.
+
+    A real-time thread that has used 0.95 s of a second (`sched_rt_runtime_us`) stands still for the
+    other 50 ms. A loop that calls `keep` in every turn pauses instead for a millisecond or two in
+    every 20 ms, and only if it would otherwise use its core without pause.
+    """
+
+    WINDOW_NS = 20_000_000
+    # Of the kernel's share: other real-time threads of the process run on the core too.
+    _MARGIN = 0.98
+
+    def __init__(self) -> None:
+        limit = realtime_share()
+        self._share = self._MARGIN * limit if limit < 1.0 else math.inf
+        self._began_ns, self._used_ns = time.monotonic_ns(), time.thread_time_ns()
+
+    def keep(self, now_ns: int) -> None:
+        """Sleep if this thread has used more than its share since the window began."""
+        if now_ns - self._began_ns < self.WINDOW_NS:
+            return
+        used_ns = time.thread_time_ns()
+        over_ns = (used_ns - self._used_ns) / self._share - (now_ns - self._began_ns)
+        if over_ns > 0:
+            time.sleep(over_ns * 1e-9)
+            now_ns = time.monotonic_ns()
+        self._began_ns, self._used_ns = now_ns, used_ns
+
+
+def realtime_share() -> float:
+    """Return the share of a core that Linux leaves to this thread if it never sleeps.
+
+    It is 1 under ordinary scheduling, without the kernel's limit, and on other systems.
+    """
+    try:
+        if os.sched_getscheduler(0) != os.SCHED_FIFO:
+            return 1.0
+        runtime_us, period_us = (int(each.read_text()) for each in (_RUNTIME, _PERIOD))
+    except (OSError, AttributeError, ValueError):
+        return 1.0
+    return 1.0 if runtime_us < 0 else runtime_us / period_us
 
 
 def usable_cores() -> int:
