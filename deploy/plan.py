@@ -15,7 +15,7 @@ from pathlib import Path
 from deploy.services import Service, starting_order
 from shared.bus.endpoint import Endpoint, parse_endpoint
 from shared.bus.security import DEFAULT_FOLDER, Credentials, robot_role
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 
 EDGE, ROUTER, NETEM, ROBOT, VIEWER = "edge", "router", "netem", "robot", "viewer"
 _CHAIN = (EDGE, ROUTER, NETEM, ROBOT)
@@ -85,9 +85,7 @@ def services_of(
     names = tuple(dict.fromkeys(name.strip() for name in only.split(",")))
     for name in names:
         if name not in declared:
-            raise ConfigError(
-                f"only: expected some of {', '.join(declared)}, separated by commas, got {name!r}"
-            )
+            raise ConfigError(f"only: {one_of(declared, name, expected='some, with commas, of')}")
     if VIEWER in names and ROBOT not in names:
         raise ConfigError("only: the viewer shows the robot of this machine; name both or neither")
     if NETEM in names and direct:

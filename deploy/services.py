@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from shared.config.toml_file import read_toml
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 
 FILE = Path(__file__).with_name("services.toml")
 OUTCOME, FAILURE, IGNORED = "outcome", "failure", "ignored"
@@ -98,7 +98,7 @@ def _service(name: str, defaults: dict[str, Any], own: Any) -> Service:
     table = {**defaults, **own}
     for key in table:
         if key not in fields:
-            raise ConfigError(f"services: {name}: expected some of {', '.join(fields)}, got {key}")
+            raise ConfigError(f"services: {name}: {one_of(fields, key, expected='some of')}")
     for key in fields:
         if key not in table:
             raise ConfigError(f"services: {name}: expected {key}, here or in [defaults]")

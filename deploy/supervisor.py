@@ -24,7 +24,7 @@ from deploy.background.state import (
 from deploy.process import kill_group, start_process, terminate
 from deploy.services import HELD, IGNORED, OUTCOME, Service
 from shared.commands import wbc
-from shared.errors import ConfigError, LinkError
+from shared.errors import ConfigError, LinkError, one_of
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Supervisor:
         """
         child = self._children.get(name)
         if child is None:
-            raise ConfigError(f"restart: expected one of {', '.join(self._children)}, got {name}")
+            raise ConfigError(f"restart: {one_of(self._children, name)}")
         service = child.launch.service
         if service.end == OUTCOME:
             raise ConfigError(f"restart: the run ends with {name}; try {wbc('down')}, then up")

@@ -24,6 +24,7 @@ COMMANDS = (
         "measure at random states how stale a factorisation may be",
         f"{_STUDIES}.corrections",
     ),
+    Subcommand("config", "print the settings of a run", "experiments.resolved"),
     Subcommand("settings", "write the tables of all settings", "experiments.settings_page"),
 )
 

@@ -29,7 +29,7 @@ from shared.config.config_file import load_config
 from shared.config.controllers import CONTROLLERS
 from shared.config.quantities import parse_duration_ns, parse_push
 from shared.config.settings import TASKS, RunConfig
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 from shared.output.text_table import aligned
 from shared.process.cli import EXIT_STANDING
 from shared.robots import load_robot
@@ -217,7 +217,7 @@ def _axis(option: str, text: str, check: Callable[[str], str]) -> list[str]:
 
 def _controller(text: str) -> str:
     if text not in CONTROLLERS:
-        raise ConfigError(f"expected some of {', '.join(CONTROLLERS)}, got {text!r}")
+        raise ConfigError(one_of(CONTROLLERS, text, expected="some of"))
     return text
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from experiments.studies.study import value_in_words
 from experiments.studies.trial_table import read_trials, wilson_interval
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 from shared.output.figure import save_figure
 from shared.process.cli import EXIT_STANDING
 
@@ -50,7 +50,7 @@ def run_figure(arguments: argparse.Namespace) -> int:
     columns = arguments.y or [STOOD]
     for name in (arguments.x, arguments.by, arguments.panels, *columns):
         if name not in (None, STOOD) and name not in rows[0]:
-            raise ConfigError(f"figure: expected one of {', '.join(rows[0])}, got {name!r}")
+            raise ConfigError(f"figure: {one_of(rows[0], name)}")
     draw_figure(
         rows,
         columns,

@@ -13,7 +13,7 @@ import numpy as np
 from netem.networks import load_profile, shipped_names
 from netem.profile import DIRECTIONS, LOST, DelayProfile
 from netem.statistics import LINKS, OUTAGE_MS, delays_ms, outages, statistics
-from shared.errors import ProfileError
+from shared.errors import ProfileError, one_of
 from shared.process.cli import EXIT_STANDING
 
 _NETWORK = "a shipped profile (factory/003), a .npz or .csv file, constant:30ms"
@@ -31,9 +31,7 @@ def run_list(arguments: argparse.Namespace) -> int:
     names = shipped_names()
     scenarios = sorted({name.rpartition("/")[0] for name in names})
     if arguments.scenario not in (None, *scenarios):
-        raise ProfileError(
-            f"scenario: expected one of {', '.join(scenarios)}, got {arguments.scenario!r}"
-        )
+        raise ProfileError(f"scenario: {one_of(scenarios, arguments.scenario)}")
     print(f"{'profile':28}  seconds  round trip [ms]     longest  outages  lost")
     for name in names:
         if arguments.scenario in (None, name.rpartition("/")[0]):

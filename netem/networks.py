@@ -15,7 +15,7 @@ from netem.generator.generate import generate_profile
 from netem.profile import DelayProfile, Profile
 from netem.profile_file import is_file, read_profile
 from shared.config.quantities import parse_duration_ns
-from shared.errors import ConfigError, ProfileError
+from shared.errors import ConfigError, ProfileError, did_you_mean
 
 SHIPPED = Path(__file__).parent / "profiles"
 CAPACITY = "capacity:"
@@ -43,7 +43,7 @@ def load_profile(network: str) -> DelayProfile:
     raise ProfileError(
         f"network: expected a shipped profile ({examples}, …), a .npz or .csv file, constant:30ms, "
         f"generated:factory/7, capacity: before any of these, or direct, got {network!r}: no such "
-        "profile or file"
+        f"profile or file{did_you_mean(shipped_names(), network)}"
     )
 
 

@@ -7,6 +7,9 @@ dropped.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class UserError(Exception):
     """A user's mistake. The message gives the expected value, the value that came, and a remedy."""
@@ -22,6 +25,21 @@ class ProfileError(UserError):
 
 class LinkError(UserError):
     """An endpoint that cannot be opened, or at which no process answers."""
+
+
+def one_of(words: Iterable[str], got: object, *, expected: str = "one of") -> str:
+    """Return the text of an error about a word: the expected words, the one that came, and the
+    word that was probably meant.
+    """
+    known = list(words)
+    return f"expected {expected} {', '.join(known)}, got {got!r}{did_you_mean(known, got)}"
+
+
+def did_you_mean(words: Iterable[str], got: object) -> str:
+    """Return `; did you mean …?` with the known word most like `got`; empty if none is."""
+    by_lower_case = {word.lower(): word for word in words}
+    close = difflib.get_close_matches(str(got).lower(), by_lower_case, n=1)
+    return f"; did you mean {by_lower_case[close[0]]}?" if close else ""
 
 
 class MessageRefused(Exception):

@@ -20,7 +20,7 @@ from deploy.background.state import ENDED, StackFolder, StackState, exit_in_word
 from deploy.console.terminal import Terminal, service_line
 from deploy.services import load_services
 from shared.commands import wbc
-from shared.errors import ConfigError, LinkError
+from shared.errors import ConfigError, LinkError, one_of
 from shared.process.cli import EXIT_STANDING
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED
 
@@ -74,11 +74,11 @@ def _one_with(service: str | None, arguments: argparse.Namespace) -> tuple[Stack
         raise ConfigError(f"no stack was started in the background; {wbc('up -d')} starts one")
     declared = load_services()
     if service is not None and service not in declared:
-        raise ConfigError(f"service: expected one of {', '.join(declared)}, got {service!r}")
+        raise ConfigError(f"service: {one_of(declared, service)}")
     having = [each for each in found if service is None or service in each[1].named]
     if not having:
         named = dict.fromkeys(name for _, state in found for name in state.named)
-        raise ConfigError(f"service: expected one of {', '.join(named)}, got {service!r}")
+        raise ConfigError(f"service: {one_of(named, service)}")
     if len(having) > 1:
         runs = ", ".join(str(stack.run) for stack, _ in having)
         raise ConfigError(f"several stacks run: {runs}; select one with --name or --run")

@@ -21,7 +21,7 @@ from experiments.studies.code_identity import code_version
 from experiments.studies.study_file import read_study
 from experiments.studies.sweep import sweep, workers_from
 from shared.commands import wbc
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 from shared.process.cli import EXIT_STANDING
 
 ALL = "all"
@@ -68,7 +68,7 @@ def chosen(names: Sequence[str]) -> list[str]:
     """The names to run, in the order of NAMES; ConfigError for an unknown name."""
     for name in names:
         if name not in (*NAMES, ALL):
-            raise ConfigError(f"run: expected {', '.join(sorted(NAMES))} or {ALL}, got {name!r}")
+            raise ConfigError(f"run: {one_of([*sorted(NAMES), ALL], name)}")
     return [name for name in NAMES if name in names or ALL in names]
 
 

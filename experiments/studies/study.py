@@ -22,7 +22,7 @@ from experiments.studies.trial_sequence import (
 from netem.networks import CAPACITY, GENERATED, load_profile, shipped_names
 from shared.config.config_file import dump_config, load_config
 from shared.config.settings import RunConfig
-from shared.errors import ConfigError, UserError
+from shared.errors import ConfigError, UserError, one_of
 
 PROFILES = "profiles:"
 
@@ -101,8 +101,8 @@ class Study:
         valid = [name for cell in self.cells for name in cell.names]
         for name in names:
             if name not in valid:
-                known = ", ".join(dict.fromkeys(valid)) or "none, there is a single cell"
-                raise ConfigError(f"--only: expected one of {known}; got {name!r}")
+                known = dict.fromkeys(valid) or ["none, there is a single cell"]
+                raise ConfigError(f"--only: {one_of(known, name)}")
         return {k for k, cell in enumerate(self.cells) if set(names) & set(cell.names)}
 
     def _place(self, label: dict[str, Any]) -> tuple[Any, ...]:
@@ -189,10 +189,9 @@ def _network_of(network: str, seed: int) -> str:
     shipped = _shipped()
     names = [name for name in shipped if PROFILES + name.rpartition("/")[0] == wanted]
     if not names:
-        valid = ", ".join(sorted({PROFILES + name.rpartition("/")[0] for name in shipped}))
-        raise ConfigError(
-            f"link.network: expected one of {valid}, or {CAPACITY} before it, got {network!r}"
-        )
+        valid = sorted({PROFILES + name.rpartition("/")[0] for name in shipped})
+        text = one_of(valid, network)
+        raise ConfigError(f"link.network: {text}; {CAPACITY} may come before it")
     return capacity + names[seed % len(names)]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from experiments.studies.study import draw
 from experiments.studies.trial_sequence import Bisection
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -40,8 +40,8 @@ def quickened(table: dict[str, Any]) -> dict[str, Any]:
         elif bound != key and bound in _BOUNDS and isinstance(bisect, dict):
             small["bisect"] = bisect = bisect | {bound: value}
         else:
-            known = ", ".join(["seeds", "cells", *(f"bisect.{name}" for name in _BOUNDS), *grid])
-            raise ConfigError(f"{key}: expected one of {known}, the last from the grid")
+            known = ["seeds", "cells", *(f"bisect.{name}" for name in _BOUNDS), *grid]
+            raise ConfigError(f"{key}: {one_of(known, key)}")
     return small
 
 

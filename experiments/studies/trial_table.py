@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from experiments.studies.study import value_in_words
 from experiments.studies.trial_sequence import Trial
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 from shared.output.text_table import aligned
 
 # Counters by reason. A summary has no entry for a reason that did not occur.
@@ -118,7 +118,7 @@ def _field(summary: dict[str, Any] | None, name: str) -> Any:
         return 0
     if summary["network"] == "direct":  # its summary has no report of the link
         return None
-    raise ConfigError(f"columns: expected one of {', '.join(_fields(summary))}; got {name!r}")
+    raise ConfigError(f"columns: {one_of(_fields(summary), name)}")
 
 
 def _fields(summary: dict[str, Any]) -> Iterator[str]:

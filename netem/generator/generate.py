@@ -20,7 +20,7 @@ from netem.generator.rate_adaptation import capacity_per_ms
 from netem.profile import DOWNLINK, LOST, PERIOD_NS, UPLINK, DelayProfile
 from netem.profile_file import write_profile
 from netem.statistics import delays_ms, outages
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 from shared.process.cli import EXIT_STANDING
 
 SOURCE = "generated, docs/network-model.md"
@@ -194,7 +194,7 @@ def run_generate(arguments: argparse.Namespace) -> int:
 def scenario_named(name: str) -> Scenario:
     """The scenario of a name; `ConfigError` with the valid names for an unknown name."""
     if name not in SCENARIOS:
-        raise ConfigError(f"scenario: expected one of {', '.join(SCENARIOS)}, got {name!r}")
+        raise ConfigError(f"scenario: {one_of(SCENARIOS, name)}")
     return SCENARIOS[name]
 
 

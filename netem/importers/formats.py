@@ -20,7 +20,7 @@ from netem.importers.resemblance import refuse_others, resemblance
 from netem.importers.source import decoded, head
 from netem.importers.table import known_columns, read_table
 from netem.profile_file import CSV_HEADER
-from shared.errors import ProfileError
+from shared.errors import ProfileError, one_of
 
 _HEAD_BYTES = 1 << 16
 # The options of every measurement of single packets.
@@ -86,9 +86,7 @@ def format_named(name: str) -> Format:
     for each in FORMATS:
         if each.name == name:
             return each
-    raise ProfileError(
-        f"format: expected one of {', '.join(each.name for each in FORMATS)}, got {name!r}"
-    )
+    raise ProfileError(f"format: {one_of((each.name for each in FORMATS), name)}")
 
 
 def format_of(path: Path, options: Options) -> Format:

@@ -14,9 +14,9 @@ from typing import Any, TypeVar
 
 import tomli_w
 
-from shared.config.settings import RobotConfig, RunConfig
+from shared.config.settings import SETTINGS, RobotConfig, RunConfig
 from shared.config.toml_file import read_toml
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 from shared.robots import description_of
 
 
@@ -75,7 +75,12 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
 
 def dump_config(config: RunConfig, *, versions: dict[str, str]) -> str:
     """Return the configuration as TOML, which `load_config` reads back to an equal value."""
-    return tomli_w.dumps({**dataclasses.asdict(config), "versions": versions})
+    return tomli_w.dumps({**settings_table(config), "versions": versions})
+
+
+def settings_table(config: RunConfig) -> dict[str, Any]:
+    """Return all settings as the table of a settings file."""
+    return dataclasses.asdict(config)
 
 
 def _set_dotted(table: dict[str, Any], key: str, value: Any) -> None:
@@ -99,9 +104,16 @@ def _build(cls: type[_T], table: Any, *, where: str) -> _T:
     for key, value in table.items():
         dotted = f"{where}.{key}" if where else key
         if key not in names:
-            raise ConfigError(f"{dotted}: unknown setting; valid here: {', '.join(names)}")
+            raise ConfigError(f"{dotted}: {_unknown(key, names)}")
         values[key] = _convert(hints[key], value, where=dotted)
     return cls(**values)
+
+
+def _unknown(key: str, names: list[str]) -> str:
+    elsewhere = [known for known in SETTINGS if known.rpartition(".")[2] == key]
+    if elsewhere:
+        return f"expected some of {', '.join(names)}, got {key!r}; did you mean {elsewhere[0]}?"
+    return one_of(names, key, expected="some of")
 
 
 def _convert(hint: Any, value: Any, *, where: str) -> Any:

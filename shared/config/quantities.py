@@ -85,6 +85,14 @@ def parse_duration_ns(text: str) -> int:
     return round(nanoseconds)
 
 
+def parse_seconds(text: str) -> float:
+    """`5s`, `800ms` or `5` → seconds."""
+    try:
+        return float(text)
+    except ValueError:
+        return parse_duration_ns(text) * 1e-9
+
+
 def parse_angle(text: str) -> float:
     """`15deg`, `-0.26rad` or `0.26` → radians."""
     match = re.fullmatch(r"([+-]?[0-9]*\.?[0-9]+)(deg|rad)?", text.strip())

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 
 _METADATA = "setting"
 _HOLDS = {"≥": operator.ge, "≤": operator.le, "<": operator.lt}
@@ -62,7 +62,7 @@ class Setting:
     def check(self, key: str, value: Any) -> None:
         """Raise a `ConfigError` with the allowed values if `key` cannot have this one."""
         if self.words and value not in self.words:
-            raise ConfigError(f"{key}: expected one of {', '.join(self.words)}, got {value!r}")
+            raise ConfigError(f"{key}: {one_of(self.words, value)}")
         if self.kind in (int, float) and not self._holds(value):
             within = " and ".join(f"{sign} {bound:g}" for sign, bound in self.bounds)
             raise ConfigError(

@@ -6,6 +6,7 @@ import argparse
 import errno
 import importlib
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -13,25 +14,36 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from shared.commands import wbc
-from shared.config.quantities import parse_duration_ns
+from shared.config.quantities import parse_duration_ns, parse_seconds
 from shared.config.setting import Setting
 from shared.config.settings import SETTINGS, RunConfig
-from shared.errors import ConfigError, UserError
+from shared.errors import ConfigError, UserError, did_you_mean
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, end_at_interrupt
 
 EXIT_STANDING = 0
 EXIT_FELL = 3
 _FLAGGED = {key: each for key, each in SETTINGS.items() if each.flag}
 _VIEW = "view"
+_INVALID_CHOICE = re.compile(r"invalid choice: '(.*)' \(choose from (.*)\)")
+_UNRECOGNIZED = re.compile(r"unrecognized arguments: (--[^ =]+)")
 _OUTPUT_ERRORS = (errno.ENOSPC, errno.EIO, errno.EBADF)
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line."""
+    """An argument parser whose errors are one line, with the option or command that was meant."""
 
     def error(self, message: str) -> NoReturn:
-        print(f"{self.prog}: error: {message} (try --help)", file=sys.stderr)
+        print(f"{self.prog}: error: {self._explained(message)} (try --help)", file=sys.stderr)
         raise SystemExit(EXIT_ERROR)
+
+    def _explained(self, message: str) -> str:
+        choice = _INVALID_CHOICE.search(message)
+        if choice is not None:
+            return message + did_you_mean(re.findall(r"'([^']*)'", choice[2]), choice[1])
+        option = _UNRECOGNIZED.match(message)
+        if option is not None:
+            return message + did_you_mean(self._option_string_actions, option[1])
+        return message
 
 
 @dataclass(frozen=True)
@@ -158,8 +170,26 @@ def _add_flag(group: argparse._ActionsContainer, setting: Setting) -> None:
         options["help"] += "; repeatable; or none"
         options |= {"action": "append", "metavar": setting.metavar}
     else:
-        options |= {"type": setting.read or setting.kind, "metavar": setting.metavar}
+        options |= {"type": _reader(setting), "metavar": setting.metavar}
     group.add_argument(setting.flag, **options)
+
+
+def _reader(setting: Setting) -> Callable[[str], Any]:
+    """Return the function that makes the setting's value from its text on the command line."""
+    if setting.words:
+        return str.lower  # all words of the settings are in lower case
+    seconds = setting.kind is float and setting.unit == "s"
+    read = setting.read or (parse_seconds if seconds else None)
+    if read is None:
+        return setting.kind
+
+    def value(text: str) -> Any:
+        try:
+            return read(text)
+        except ConfigError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return value
 
 
 def _given(arguments: argparse.Namespace, key: str, setting: Setting) -> Any:

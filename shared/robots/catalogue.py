@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 from shared.robots.description import Foot, FootDescription, Robot, RobotDescription
 
 # Sole of Romeo without the toe, which this URDF welds to the foot and which no contact uses.
@@ -91,7 +91,7 @@ CATALOGUE: dict[str, RobotDescription] = {
 def description_of(name: str) -> RobotDescription:
     """Return the entry of a robot; raise `ConfigError` with the known ones if there is none."""
     if name not in CATALOGUE:
-        raise ConfigError(f"robot: expected one of {', '.join(CATALOGUE)}, got {name!r}")
+        raise ConfigError(f"robot: {one_of(CATALOGUE, name)}")
     return CATALOGUE[name]
 
 

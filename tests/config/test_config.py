@@ -161,7 +161,12 @@ def test_an_unknown_section_is_refused_with_the_sections(file):
 
 
 def test_an_unknown_setting_three_levels_down_is_named_in_full():
-    assert refusal(wbc__gains__toes=1.0).startswith("wbc.gains.toes: unknown setting")
+    assert refusal(wbc__gains__toes=1.0) == (
+        "wbc.gains.toes: expected some of com, base_orientation, posture, contact_damping, "
+        "swing_foot, got 'toes'"
+    )
+    assert refusal(wbc__gains__postur=1.0).endswith("got 'postur'; did you mean posture?")
+    assert refusal(wbc__hold_after=1.0).endswith("got 'hold_after'; did you mean loop.hold_after?")
 
 
 @pytest.mark.parametrize(

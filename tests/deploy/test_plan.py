@@ -134,10 +134,10 @@ def test_a_plain_edge_elsewhere_is_called_unprotected():
 @pytest.mark.parametrize(
     ("only", "flags", "message"),
     [
-        ("edge,robots", {}, "expected some of edge, netem, robot, viewer, router"),
-        ("", {}, "only: expected some of"),
+        ("edge,robots", {}, "expected some, with commas, of edge, netem, robot, viewer, router"),
+        ("", {}, "only: expected some, with commas, of"),
         ("viewer", {}, "name both or neither"),
-        ("recorder", {}, "expected some of edge"),
+        ("recorder", {}, "of edge, netem"),
         ("robot", {}, "--edge tls/HOST:7460"),
         ("netem", {}, "netem needs an edge"),
         (None, {"edge": TLS}, "edge is started here"),

@@ -64,7 +64,10 @@ def test_services_start_after_those_they_wait_for_and_else_as_in_the_file(loaded
         ("[one]\n", "one: expected command, here or in"),
         ('[one]\ncommand = "a"\n', "expected a list of strings, got 'a'"),
         ("[one]\ncommand = []\n", "at least the module"),
-        ('[one]\ncommand = ["a"]\ncolour = 1\n', "expected some of command, after, .* got colour"),
+        (
+            '[one]\ncommand = ["a"]\ncolour = 1\n',
+            "some of command, after, .* got 'colour'",
+        ),
         ('[one]\ncommand = ["a"]\nafter = ["two"]\n', "expected some of one, got 'two'"),
         ('[one]\ncommand = ["a"]\nafter = ["one"]\n', "wait for one another"),
         ('[one]\ncommand = ["a"]\nrestart = "always"\n', "no, or on-failure:N"),

@@ -200,7 +200,7 @@ def test_a_draw_is_what_it_was_last_year():
 def test_a_name_that_no_cell_has_lists_those_there_are(study_of):
     study = study_of("[grid]\ncontroller = ['la', 'pr']")
     assert study.only(["controller=pr"]) == {1}
-    with pytest.raises(ConfigError, match=r"expected one of controller=la, controller=pr; got 'x'"):
+    with pytest.raises(ConfigError, match=r"expected one of controller=la, controller=pr, got 'x'"):
         study.only(["x"])
 
 

@@ -73,10 +73,38 @@ def test_a_walk_flag_without_a_walk_is_refused(config_of, flag):
         config_of(flag)
 
 
+@pytest.mark.parametrize("text", ["5", "5s", "5000ms", "5.0"])
+def test_a_duration_has_a_unit_or_is_in_seconds(config_of, text):
+    assert config_of("--duration", text).duration == 5.0
+
+
+def test_words_may_be_in_capitals(config_of):
+    config = config_of("--controller", "LC", "--task", "WALK", "--robot", "Talos")
+    assert (config.controller, config.task, config.robot.name) == ("lc", "walk", "talos")
+
+
 @pytest.mark.parametrize("angle", ["15 degrees", "deg", "", "1e3", "nan"])
-def test_a_turn_that_is_no_angle_is_refused(config_of, angle):
-    with pytest.raises(ConfigError, match="15deg"):
-        config_of("--task", "walk", "--step-turn", angle)
+def test_a_turn_that_is_no_angle_is_refused(parser, capsys, angle):
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--task", "walk", "--step-turn", angle])
+    assert "argument --step-turn: expected an angle as in 15deg" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("--controler", "--controller"), ("--newtork", "--network")]
+)
+def test_the_error_about_an_unknown_flag_names_the_flag_that_was_meant(
+    parser, capsys, typed, meant
+):
+    with pytest.raises(SystemExit):
+        parser.parse_args([typed, "x"])
+    assert f"unrecognized arguments: {typed} x; did you mean {meant}?" in capsys.readouterr().err
+
+
+def test_an_unknown_flag_like_no_other_gets_no_guess(parser, capsys):
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--zzz"])
+    assert "did you mean" not in capsys.readouterr().err
 
 
 def test_a_zero_is_a_value_and_not_a_missing_flag(config_of):
