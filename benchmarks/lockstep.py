@@ -25,7 +25,7 @@ from benchmarks.timing import header
 from experiments.lockstep import Lockstep
 from experiments.reproduction.timed_walk import timed
 from shared.config.config_file import load_config
-from shared.config.settings import TASKS
+from shared.config.extensions import TASKS
 from shared.output.text_table import aligned
 
 _NETWORK = "constant:25ms"
@@ -58,7 +58,7 @@ def run(*, repetitions: int, seconds: float | None) -> str:
         ["", "simulated", "trials/min", "× real time", *_TICK, "tick", "start-up", "summary"],
         ["", "[s]", "per core", "", *["[ms]"] * (len(_TICK) + 3)],
     ]
-    for task in TASKS:
+    for task in TASKS.own:
         for controller in _CONTROLLERS:
             timed_trial(task, controller, seconds=0.2)  # warms caches and imports
             each = [timed_trial(task, controller, seconds=seconds) for _ in range(repetitions)]

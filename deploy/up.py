@@ -34,7 +34,8 @@ from deploy.stack import Run, StackRun
 from netem.networks import load_network
 from shared.commands import wbc
 from shared.config.config_file import dump_config
-from shared.config.settings import RunConfig
+from shared.config.extensions import CONTROLLERS, TASKS
+from shared.config.settings import RunConfig, extended
 from shared.errors import ConfigError, LinkError
 from shared.motion.plan import make_motion
 from shared.output.screen import has_screen
@@ -66,6 +67,8 @@ def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd:
         link = dataclasses.replace(config.link, network="direct")
         config = dataclasses.replace(config, link=link)
     # Settings that cannot be used are refused before anything starts.
+    for table, value in extended(config):
+        table.load(value)
     make_motion(load_robot(config.robot.name), config)
     if NETEM in services:
         load_network(config.link.network)
@@ -136,7 +139,8 @@ def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) 
     """Make a new folder with the settings in it."""
     if out is None:
         network = config.link.network.replace("/", "-").replace(":", "-").strip(".-")
-        what = f"{config.task}-{config.controller}-{network}"
+        controller = CONTROLLERS.label(config.controller).lower()
+        what = f"{TASKS.label(config.task)}-{controller}-{network}"
         stamp = time.strftime("%Y%m%d-%H%M%S")
         out = Path("runs") / f"{stamp}-{what if ROBOT in services else '-'.join(services)}"
     try:

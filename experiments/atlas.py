@@ -26,10 +26,10 @@ from experiments.studies.sweep import sweep, workers_from
 from experiments.studies.trial_table import wilson_interval
 from experiments.studies.workers import EXAMPLE
 from shared.config.config_file import load_config
-from shared.config.controllers import CONTROLLERS
+from shared.config.extensions import CONTROLLERS, TASKS
 from shared.config.quantities import parse_duration_ns, parse_push
-from shared.config.settings import TASKS, RunConfig
-from shared.errors import ConfigError, one_of
+from shared.config.settings import RunConfig
+from shared.errors import ConfigError
 from shared.output.text_table import aligned
 from shared.process.cli import EXIT_STANDING
 from shared.robots import load_robot
@@ -52,7 +52,7 @@ def add_atlas_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `atlas`."""
     parser.add_argument("--config", type=Path, metavar="FILE.toml", help="settings of all trials")
     parser.add_argument(
-        "--task", help=f"one of {', '.join(TASKS)}; default: the file's, or balance"
+        "--task", help=f"one of {', '.join(TASKS.own)}; default: the file's, or balance"
     )
     parser.add_argument("--robot", metavar="NAME", help="default: the file's, or romeo")
     parser.add_argument("--controllers", default="pr,la,lc", metavar="pr,la,…")
@@ -166,7 +166,7 @@ def in_words(squares: list[Row]) -> str:
     for controller, force in dict.fromkeys((s["controller"], s["force"]) for s in squares):
         found = [counts[controller, force, delay] for delay in delays]
         words = [f"{square['fell']}/{square['played']}" for square in found]
-        lines.append([controller.upper(), f"{force:g} N", *words])
+        lines.append([CONTROLLERS.label(controller), f"{force:g} N", *words])
     return "\n".join(["trials that fell / trials played, by round trip", *aligned(lines, left=0)])
 
 
@@ -175,7 +175,7 @@ def _shown(row: Row) -> Row:
     delay_ns, force = _delay_ns(row["link.network"]), _force_of(row["push"][0])
     return {
         **row,
-        "controller": row["controller"].upper(),
+        "controller": CONTROLLERS.label(row["controller"]),
         DELAY: f"{delay_ns * 1e-6:g} ms",
         PUSH: f"{force:g} N",
     }
@@ -216,8 +216,7 @@ def _axis(option: str, text: str, check: Callable[[str], str]) -> list[str]:
 
 
 def _controller(text: str) -> str:
-    if text not in CONTROLLERS:
-        raise ConfigError(one_of(CONTROLLERS, text, expected="some of"))
+    CONTROLLERS.check("controllers", text)
     return text
 
 

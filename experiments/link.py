@@ -23,7 +23,7 @@ from experiments.studies.sweep import sweep, workers_from
 from netem.networks import CAPACITY, load_profile
 from netem.profile import DIRECTIONS, DelayProfile
 from netem.statistics import delays_ms, outages
-from shared.config.controllers import CONTROLLERS
+from shared.config.extensions import CONTROLLERS
 from shared.config.quantities import parse_push
 from shared.errors import ConfigError
 from shared.output.figure import save_figure
@@ -62,7 +62,7 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["pr", "la", "lc"],
         metavar="NAME",
-        help=f"some of {', '.join(CONTROLLERS)}; default: pr la lc",
+        help=f"some of {', '.join(CONTROLLERS.own)}; default: pr la lc",
     )
     parser.add_argument(
         "--window", type=float, default=5.0, metavar="SECONDS", help="length of a window (5)"
@@ -192,7 +192,7 @@ def table(rows: Sequence[Row], found: Sequence[LinkOutage]) -> list[str]:
         ages = [row[_AGE] for row in played if row[_AGE] is not None]
         lines.append(
             [
-                controller.upper(),
+                CONTROLLERS.label(controller),
                 str(len(played)),
                 str(sum(not row["fell"] for row in played)),
                 f"{met * 1e3:.0f} ms" if met else "none",
@@ -207,7 +207,7 @@ def verdicts(rows: Sequence[Row], profile: DelayProfile, found: Sequence[LinkOut
     lines = []
     for controller, played in _by_controller(rows).items():
         fallen = [row for row in played if row["fell"]]
-        name = controller.upper()
+        name = CONTROLLERS.label(controller)
         if not fallen:
             lines.append(f"{name} stands in all {len(played)} windows.")
             continue
@@ -218,7 +218,7 @@ def verdicts(rows: Sequence[Row], profile: DelayProfile, found: Sequence[LinkOut
             reason = f" after an outage of {met * 1e3:.0f} ms" if met else ", with no outage before"
             lines.append(f"  at {at:.2f} s of the link{reason} ({row['cell']})")
     lines += [
-        f"{row['controller'].upper()}, {row['cell']}: {row['error']}"
+        f"{CONTROLLERS.label(row['controller'])}, {row['cell']}: {row['error']}"
         for row in rows
         if row["error"] is not None
     ]
@@ -251,7 +251,7 @@ def draw(rows: Sequence[Row], profile: DelayProfile, path: Path) -> None:
             )
             if row["fell"]:
                 below.plot(start + lasted, height, "v", color="k", ms=8)
-    below.set_yticks(range(len(by_controller)), [name.upper() for name in by_controller])
+    below.set_yticks(range(len(by_controller)), [CONTROLLERS.label(name) for name in by_controller])
     below.set(xlabel="time on the link [s]; green: stood, red: fell, ▼ where", ylim=(-0.7, None))
     save_figure(figure, path, what="picture")
 

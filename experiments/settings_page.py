@@ -7,6 +7,7 @@ import inspect
 import json
 from pathlib import Path
 
+from shared.config.extensions import Extensions
 from shared.config.setting import Section, Setting
 from shared.config.settings import SECTIONS
 from shared.errors import ConfigError
@@ -55,6 +56,8 @@ def _line(key: str, setting: Setting) -> tuple[str, ...]:
     name = f"`{key.rpartition('.')[2]}`" + (f", `{setting.flag}`" if setting.flag else "")
     default = f"`{json.dumps(setting.default)}` {setting.unit}".rstrip()
     words = [f"`{word}`" for word in setting.words]
+    if isinstance(setting.choices, Extensions):
+        words.append(f"[your own]({setting.choices.page.removeprefix('docs/')})")
     bounds = [f"{sign} {bound:g}" for sign, bound in setting.bounds]
     infinite = ["`inf`"] if setting.may_be_infinite else []
     return name, default, ", ".join([*words, *bounds, *infinite]), setting.help

@@ -7,7 +7,6 @@ corrected, `robot_node/corrected.py`) corrects its last solution by the answer's
 
 from __future__ import annotations
 
-import importlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -17,7 +16,7 @@ import numpy as np
 
 from robot_node.cache import AnswerCache, CacheEntry, ProjectorCache
 from robot_node.onboard import OnBoard, OnBoardWindow, StartComputer, projector_solve
-from shared.config.controllers import CONTROLLERS
+from shared.config.extensions import CONTROLLERS, Taken
 from shared.config.settings import RunConfig
 from shared.telemetry.schema import Source
 from shared.wbc.contacts import ContactMode
@@ -75,11 +74,13 @@ class Controller(ABC):
       worth it.
     * `answers_expire`: an answer is of no use once it is older than `loop.hold_after`.
     * `bounds_torque_steps`: where the kind of command changes, the torque moves there in steps.
+    * `corrects`: it reports a contraction, and needs no fresh projector after a contact switch.
     """
 
     every_state_answered = True
     answers_expire = True
     bounds_torque_steps = False
+    corrects = False
 
     cache: AnswerCache
     on_board: OnBoard | None = None
@@ -113,14 +114,19 @@ class ControllerParts:
     start_computer: StartComputer
 
 
+# The members of a `Controller` that every subclass brings, with their arguments.
+_MEMBERS = {"cache": None, "observe": Taken(3), "command": Taken(keywords=("time_ns",))}
+
 MakeController = Callable[[ControllerParts], Controller]
 
 
 def make_controller(parts: ControllerParts) -> Controller:
-    """Make the controller that `parts.config.controller` names in the table."""
-    module, _, name = CONTROLLERS[parts.config.controller].factory.partition(":")
-    factory: MakeController = getattr(importlib.import_module(module), name)
-    return factory(parts)
+    """Make the controller that `parts.config.controller` names.
+
+    Raise `ConfigError` if it cannot be imported or lacks a member.
+    """
+    controller: Controller = CONTROLLERS.make(parts.config.controller, parts, members=_MEMBERS)
+    return controller
 
 
 class PurelyRemote(Controller):

@@ -61,6 +61,7 @@ class LocallyCorrected(Controller):
     every_state_answered = False
     answers_expire = False
     bounds_torque_steps = True
+    corrects = True
 
     def __init__(self, parts: ControllerParts) -> None:
         config = parts.config.correction

@@ -15,8 +15,7 @@ import numpy as np
 
 from robot_node.controllers import Command, ControllerParts, MakeController, make_controller
 from robot_node.onboard import MakeSolve, ModelledComputer, OnBoardComputer, StartComputer
-from robot_node.plant import MujocoPlant, Plant
-from robot_node.rigid_plant import RigidPlant
+from robot_node.plant import Plant, make_plant
 from robot_node.safety import JointHold, TorqueGuard, TorqueRateLimiter, has_fallen
 from robot_node.sensors import Sensors
 from robot_node.tick_row import Moment, TickRow
@@ -227,6 +226,4 @@ class RobotNode:
 
     def _make_plant(self, robot: Robot) -> Plant:
         timestep = self._config.loop.period_ns * 1e-9
-        if self._config.plant.kind == "rigid":
-            return RigidPlant(robot, timestep=timestep)
-        return MujocoPlant(robot, self._config.plant, timestep=timestep)
+        return make_plant(robot, self._config.plant, timestep=timestep)

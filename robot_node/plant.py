@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from robot_node.mjcf import mjcf
+from shared.config.extensions import PLANTS, Taken
 from shared.config.settings import PlantConfig
 from shared.robots import Robot
 
@@ -32,6 +33,19 @@ class Plant(Protocol):
 
         The force acts at the centre of mass of the base body.
         """
+
+
+# The members of a `Plant`, with their arguments.
+_MEMBERS = {"set_state": Taken(2), "state": Taken(), "step": Taken(1, ("push",))}
+
+
+def make_plant(robot: Robot, config: PlantConfig, *, timestep: float) -> Plant:
+    """Make the plant that `config.kind` names; `timestep` [s].
+
+    Raise `ConfigError` if it cannot be imported or lacks a member.
+    """
+    plant: Plant = PLANTS.make(config.kind, robot, config, members=_MEMBERS, timestep=timestep)
+    return plant
 
 
 class MujocoPlant:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from shared.config.settings import PlantConfig
 from shared.robots import Foot, Robot
 from shared.robots.description import sole_frame_name
 
@@ -26,9 +27,14 @@ _MAX_ITERATIONS = 10
 
 
 class RigidPlant:
-    """Constrained forward dynamics of one robot, semi-implicit Euler, in Pinocchio's convention."""
+    """Constrained forward dynamics of one robot, semi-implicit Euler, in Pinocchio's convention.
 
-    def __init__(self, robot: Robot, *, timestep: float = 1e-3) -> None:
+    No setting of the plant applies to it.
+    """
+
+    def __init__(
+        self, robot: Robot, config: PlantConfig | None = None, *, timestep: float = 1e-3
+    ) -> None:
         self._model = robot.model
         self._data = robot.model.createData()
         self._lever = robot.model.inertias[1].lever

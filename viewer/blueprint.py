@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from shared.config.controllers import CONTROLLERS
+from shared.config.extensions import corrects
 from shared.config.settings import RunConfig
 from shared.robots import load_robot
 from viewer.plots import (
@@ -38,7 +38,7 @@ _HEIGHT, _WIDTH = 1.75, 0.6
 def layout(config: RunConfig, *, live: bool, picture: bool = False) -> rrb.Blueprint:
     """Return the blueprint of a live view, of a finished recording, or of a picture of one."""
     correction = _plot("Correction (LC)", "plots/correction", legend=_LEFT, live=live)
-    corrected = CONTROLLERS[config.controller].corrects
+    corrected = corrects(config.controller)
     return _blueprint(
         _robot_view([config]),
         rrb.Vertical(

@@ -14,6 +14,7 @@ from uuid import uuid4
 import rerun as rr
 import rerun.blueprint as rrb
 
+from shared.config.extensions import CONTROLLERS
 from shared.errors import UserError
 from shared.robots import load_robot
 from shared.telemetry.outages import OUTAGE_NS
@@ -116,7 +117,7 @@ def _log_sign(recording: rr.RecordingStream, run: RunFolder, track: Track) -> No
     ending = f", fell at {run.duration:.2f} s" if fell else ""
     sign = rr.Points3D(
         [(0.45, 0.0, 0.0)],
-        labels=[f"{track.name}: {run.config.controller.upper()}{ending}"],
+        labels=[f"{track.name}: {CONTROLLERS.label(run.config.controller)}{ending}"],
         colors=None if track.colour is None else [track.colour],
         radii=[0.01],
         show_labels=True,

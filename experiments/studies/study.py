@@ -21,7 +21,7 @@ from experiments.studies.trial_sequence import (
 )
 from netem.networks import CAPACITY, GENERATED, load_profile, shipped_names
 from shared.config.config_file import dump_config, load_config
-from shared.config.settings import RunConfig
+from shared.config.settings import RunConfig, extended
 from shared.errors import ConfigError, UserError, one_of
 
 PROFILES = "profiles:"
@@ -206,6 +206,8 @@ def _identity(config: RunConfig, *, all_active_sets: bool) -> str:
         digest.update(load_profile(config.link.network.removeprefix(CAPACITY)).delays_ns.tobytes())
     if all_active_sets:
         digest.update(b"all active sets")
+    for table, value in extended(config):
+        digest.update(table.identity(value).encode())
     return digest.hexdigest()[:16]
 
 

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import tomli_w
 
+from shared.config.extensions import TABLES, absolute
 from shared.config.settings import SETTINGS, RobotConfig, RunConfig
 from shared.config.toml_file import read_toml
 from shared.errors import ConfigError, one_of
@@ -23,18 +24,32 @@ from shared.robots import description_of
 def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None) -> RunConfig:
     """Return the settings of a TOML file (None: the defaults), with dotted-key overrides on top.
 
-    Keys under `[versions]`, which a run writes into its own copy, are ignored.
+    Keys under `[versions]`, which a run writes into its own copy, are ignored. A Python file that
+    the settings name is relative to the TOML file, and in overrides to the current folder.
     """
     table: dict[str, Any] = {}
     if path is not None:
         table = read_toml(Path(path), what="config")
         table.pop("versions", None)
+        _locate_extensions(table, Path(path).parent)
     for key, value in (overrides or {}).items():
         _set_dotted(table, key, value)
+    _locate_extensions(table, Path.cwd())
     config = _build(RunConfig, _merged(_defaults(table), table), where="")
     if config.task == "walk" and "duration" not in table:
         config = dataclasses.replace(config, duration=config.walk.duration)
     return config
+
+
+def _locate_extensions(table: dict[str, Any], folder: Path) -> None:
+    """Give references to files in `folder` their whole path, in place."""
+    for key in TABLES:
+        *sections, name = key.split(".")
+        within: Any = table
+        for section in sections:
+            within = within.get(section) if isinstance(within, dict) else None
+        if isinstance(within, dict) and isinstance(within.get(name), str):
+            within[name] = absolute(within[name], folder)
 
 
 def _defaults(table: dict[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from shared.config.extensions import Extensions
 from shared.errors import ConfigError, one_of
 
 _METADATA = "setting"
@@ -27,7 +28,8 @@ class Setting:
     """The description of a setting.
 
     A number has to be within its bounds, and finite unless it `may_be_infinite`. A word has to be
-    one of `choices`, which is a function if the words take long to find. `flag` is the option on
+    one of `choices`, which is a function if the words take long to find, and `Extensions` if others
+    may add some. `flag` is the option on
     the command line, `metavar` an example of its value, and `read` makes the value from its text.
     """
 
@@ -38,7 +40,7 @@ class Setting:
     at_most: float | None = None
     below: float | None = None
     may_be_infinite: bool = False
-    choices: Sequence[str] | Callable[[], Sequence[str]] = ()
+    choices: Sequence[str] | Callable[[], Sequence[str]] | Extensions = ()
     flag: str = ""
     metavar: str | None = None
     read: Callable[[str], Any] | None = None
@@ -50,7 +52,9 @@ class Setting:
 
     @property
     def words(self) -> Sequence[str]:
-        """The allowed words; empty if every value of its type is allowed."""
+        """The project's allowed words; empty if every value of its type is allowed."""
+        if isinstance(self.choices, Extensions):
+            return list(self.choices.own)
         return self.choices() if callable(self.choices) else self.choices
 
     @property
@@ -61,7 +65,9 @@ class Setting:
 
     def check(self, key: str, value: Any) -> None:
         """Raise a `ConfigError` with the allowed values if `key` cannot have this one."""
-        if self.words and value not in self.words:
+        if isinstance(self.choices, Extensions):
+            self.choices.check(key, value)
+        elif self.words and value not in self.words:
             raise ConfigError(f"{key}: {one_of(self.words, value)}")
         if self.kind in (int, float) and not self._holds(value):
             within = " and ".join(f"{sign} {bound:g}" for sign, bound in self.bounds)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
 
-from shared.config.controllers import CONTROLLERS
+from shared.config.extensions import CONTROLLERS, PLANTS, TABLES, TASKS, Extensions
 from shared.config.quantities import (
     Outage,
     Push,
@@ -26,7 +26,6 @@ from shared.config.quantities import (
 from shared.config.setting import sections_of, setting
 from shared.errors import ConfigError
 
-TASKS = ("balance", "walk")
 CORRECTION_LEVELS = ("b", "b_adjoint", "c")
 
 _PUSH = "100N@1.0s:0.2s:+y"
@@ -95,7 +94,7 @@ class PlantConfig:
     The other settings are for MuJoCo's contacts.
     """
 
-    kind: str = setting("mujoco", help="kind of plant", choices=("mujoco", "rigid"))
+    kind: str = setting("mujoco", help="kind of plant", choices=PLANTS, flag="--plant")
     friction: float = setting(0.8, help="friction μ between sole and floor", at_least=1e-3)
     contact_time_constant: float = setting(
         0.005, help="time constant of a contact, in `solref`", unit="s"
@@ -370,7 +369,7 @@ class RunConfig:
 
     task: str = setting("balance", help="the robot's task", choices=TASKS, flag="--task")
     controller: str = setting(
-        "la", help="the robot's controller", choices=tuple(CONTROLLERS), flag="--controller"
+        "la", help="the robot's controller", choices=CONTROLLERS, flag="--controller"
     )
     duration: float = setting(
         5.0,
@@ -437,8 +436,18 @@ class RunConfig:
     @property
     def digest(self) -> bytes:
         """The digest of the settings on which both ends must agree, eight bytes."""
-        agreed = repr((self.task, self.robot, self.wbc, self.walk))
+        # A task of one's own may lie elsewhere on the other machine. The motion has its own digest.
+        task = self.task.rpartition(":")[2]
+        agreed = repr((task, self.robot, self.wbc, self.walk))
         return hashlib.sha256(agreed.encode()).digest()[:8]
+
+
+def extended(config: RunConfig) -> list[tuple[Extensions, str]]:
+    """Return the tables and values of a run's controller, task and plant that are not the
+    project's.
+    """
+    values = [(table, attrgetter(key)(config)) for key, table in TABLES.items()]
+    return [(table, value) for table, value in values if value not in table.own]
 
 
 SECTIONS = tuple(sections_of(RunConfig))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from shared.config.controllers import CONTROLLERS
+from shared.config.extensions import CONTROLLERS, TASKS, corrects
 from shared.config.settings import RunConfig
 from shared.output.versions import versions
 from shared.telemetry.metrics import (
@@ -185,9 +185,11 @@ def summary_in_words(summary: dict[str, Any]) -> str:
     age, tick, solve = (
         summary[key] for key in ("projector_age_ms", "robot_tick_ms", "edge_solve_ms")
     )
+    task = TASKS.label(summary["task"])
+    controller = CONTROLLERS.label(summary["controller"])
     lines = [
         f"{'FELL' if summary['fell'] else 'Stands'} after {summary['task_seconds']:.2f} s of "
-        f"{summary['task']} with {summary['controller'].upper()} over {summary['network']}",
+        f"{task} with {controller} over {summary['network']}",
         "  CoM error and contact violation have no meaning after a fall"
         if summary["fell"]
         else f"  CoM error {_number(summary['com_error_m'], 'cm', 100)}, contact violation "
@@ -216,7 +218,7 @@ def summary_in_words(summary: dict[str, Any]) -> str:
         # A controller that corrects needs no fresh projector at a contact switch.
         waited = (
             ""
-            if CONTROLLERS[summary["controller"]].corrects
+            if corrects(summary["controller"])
             else f"contact switch to first fresh projector p50 {_number(wait['p50'], 'ms')}, max "
             f"{_number(wait['max'], 'ms')}, not in time {wait['never']} ×; "
         )

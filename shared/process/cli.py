@@ -11,9 +11,11 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NoReturn
 
 from shared.commands import wbc
+from shared.config.extensions import Extensions
 from shared.config.quantities import parse_duration_ns, parse_seconds
 from shared.config.setting import Setting
 from shared.config.settings import SETTINGS, RunConfig
@@ -24,6 +26,7 @@ EXIT_STANDING = 0
 EXIT_FELL = 3
 _FLAGGED = {key: each for key, each in SETTINGS.items() if each.flag}
 _VIEW = "view"
+_ASKS_FOR_HELP = {"-h", "--help"}
 _INVALID_CHOICE = re.compile(r"invalid choice: '(.*)' \(choose from (.*)\)")
 _UNRECOGNIZED = re.compile(r"unrecognized arguments: (--[^ =]+)")
 _OUTPUT_ERRORS = (errno.ENOSPC, errno.EIO, errno.EBADF)
@@ -161,7 +164,11 @@ def add_view_argument(parser: argparse.ArgumentParser) -> None:
 
 def _add_flag(group: argparse._ActionsContainer, setting: Setting) -> None:
     text = setting.help + (f" [{setting.unit}]" if setting.unit else "")
-    if setting.words:
+    if isinstance(setting.choices, Extensions):
+        # To find the names of installed packages takes long.
+        names = setting.choices.names() if _ASKS_FOR_HELP & set(sys.argv) else setting.choices.own
+        text += f"; one of {', '.join(names)}, module:Name or file.py:Name"
+    elif setting.words:
         text += f"; one of {', '.join(setting.words)}"
     options: dict[str, Any] = {"help": text.replace("%", "%%")}
     if setting.kind is bool:
@@ -176,6 +183,8 @@ def _add_flag(group: argparse._ActionsContainer, setting: Setting) -> None:
 
 def _reader(setting: Setting) -> Callable[[str], Any]:
     """Return the function that makes the setting's value from its text on the command line."""
+    if isinstance(setting.choices, Extensions):
+        return partial(_extension, setting.choices)
     if setting.words:
         return str.lower  # all words of the settings are in lower case
     seconds = setting.kind is float and setting.unit == "s"
@@ -190,6 +199,10 @@ def _reader(setting: Setting) -> Callable[[str], Any]:
             raise argparse.ArgumentTypeError(str(error)) from None
 
     return value
+
+
+def _extension(choices: Extensions, text: str) -> str:
+    return text.lower() if text.lower() in choices.own else text
 
 
 def _given(arguments: argparse.Namespace, key: str, setting: Setting) -> Any:

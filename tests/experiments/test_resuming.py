@@ -221,3 +221,15 @@ def test_a_journal_that_is_none_is_an_error_in_one_line(play, tmp_path):
     (tmp_path / "out" / "trials.jsonl").write_text('{"trial": "x"}\n')
     with pytest.raises(ConfigError, match=r"in every line of .*trials\.jsonl, got another"):
         play(Oracle())
+
+
+def test_a_changed_controller_file_is_played_again(study_of, tmp_path):
+    file = tmp_path / "mine.py"
+    text = "from examples.own_controller import LastSolution\nclass Mine(LastSolution): gain = {}\n"
+    base = f'seeds = 1\n[base]\nduration = 0.02\npush = []\ncontroller = "{file}:Mine"\n'
+    identities = []
+    for gain in (1, 1, 2):
+        file.write_text(text.format(gain))
+        (trial,) = study_of(base).trials
+        identities.append(trial.identity)
+    assert identities[0] == identities[1] != identities[2]

@@ -10,7 +10,7 @@ from robot_node.controllers import ControllerParts, LocallyAssisted, PurelyRemot
 from robot_node.corrected import LocallyCorrected
 from robot_node.node import RobotNode
 from robot_node.onboard import ModelledComputer, factorisation_solve, projector_solve
-from shared.config.controllers import CONTROLLERS
+from shared.config.extensions import CONTROLLERS
 from shared.errors import ConfigError
 from shared.motion.plan import make_motion
 from shared.telemetry.schema import Source
@@ -157,7 +157,7 @@ def test_controllers_are_made_by_their_names(robot, motion, configured, name, co
 
 
 def test_every_controller_of_the_table_can_be_made(robot, motion, configured):
-    for name in CONTROLLERS:
+    for name in CONTROLLERS.own:
         RobotNode(robot, configured(controller=name), motion)
 
 

@@ -5,7 +5,8 @@ import dataclasses
 import pytest
 
 from shared.config.config_file import load_config
-from shared.config.settings import TASKS, RunConfig
+from shared.config.extensions import TASKS
+from shared.config.settings import RunConfig
 from shared.errors import ConfigError
 from shared.robots import CATALOGUE, load_robot
 from shared.robots.description import robots_folder
@@ -27,8 +28,8 @@ def test_every_robot_of_the_catalogue_loads_under_its_name(name):
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_the_settings_of_an_entry_are_settings_of_its_tasks(name):
-    assert set(CATALOGUE[name].settings) <= set(TASKS)
-    for task in TASKS:
+    assert set(CATALOGUE[name].settings) <= set(TASKS.own)
+    for task in TASKS.own:
         config = load_config(None, {"task": task, "robot.name": name})
         assert (config.task, config.robot.name) == (task, name)
 
