@@ -53,7 +53,7 @@ PARTS = (
     Part("shared.wbc.qp:DaqpSolver.solve", "solver"),
     Part("shared.wbc.correction:Corrector.step", "correction"),
     Part("shared.wbc.projector:Projector.apply", "apply the projector"),
-    Part("robot_node.controllers:recover_torque", "torque"),
+    Part("robot_node.controllers:recover_force", "torque"),
     Part("edge_node.node:recover_torque", "torque at the edge"),
     Part("shared.wire.codec:Codec.rounded", "round the projector"),
     Part("shared.wire.codec:Codec.encode_projector", "encode the projector"),

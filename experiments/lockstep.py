@@ -208,6 +208,7 @@ class Lockstep:
             received=self._robot_inbox.counter.received,
             lost=self._robot_inbox.counter.lost,
             refused=dict(self.robot.cache.refused),
+            sensor_faults=dict(self.robot.sensor_guard.faults),
         )
         edge = edge_report(
             solve_rows,

@@ -112,6 +112,7 @@ def main() -> int:
             received=inbox.counter.received,
             lost=inbox.counter.lost,
             refused=dict(node.cache.refused),
+            sensor_faults=dict(node.sensor_guard.faults),
         )
 
     report = log.finish(make_report)

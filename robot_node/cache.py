@@ -1,8 +1,10 @@
 """The newest answers of the edge, and why the others were refused.
 
-An answer is taken if it passes the codec, echoes this start of the robot, and was computed from a
-newer state than the one held. Each contact mode keeps its own projector or factorisation: one of
-another mode is never applied.
+An answer is taken if it passes the codec, echoes a state of this start of the robot with the time at
+which the robot sent it, and was computed from a newer state than the one held. Each contact mode
+keeps its own projector or factorisation: one of another mode is never applied. A factorisation must
+also be the robot's own, and a projector must obey the robot's dynamics at its first use:
+`robot_node/verification.py`.
 """
 
 from __future__ import annotations
@@ -13,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from robot_node.sent_states import SentStates
+from robot_node.verification import FactorisationVerifier
 from shared.bus.base import RefusalCounter
 from shared.errors import MessageRefused
 from shared.wbc.answer import Factorisation, Projector, TimedProjector
@@ -28,7 +32,8 @@ class CacheEntry:
     """A projector, and the state it was computed from: its tick and the robot's clock then.
 
     `tau` and `y` are the full solution at that state. They are None for a projector that was solved
-    on board or for another contact mode than the state's.
+    on board or for another contact mode than the state's. `proven`: it has been tested at its first
+    use.
     """
 
     timed: TimedProjector
@@ -37,6 +42,7 @@ class CacheEntry:
     on_board: bool = False
     tau: np.ndarray | None = None
     y: np.ndarray | None = None
+    proven: bool = False
 
     @property
     def projector(self) -> Projector:
@@ -56,16 +62,15 @@ class AnswerCache(ABC):
         self.newest_stamp_ns = -1
         self._codec = codec
         self._session = session
-        self._newest_sequence = self._newest_sent = -1
+        self._newest_sequence = -1
+        self._sent: SentStates
 
-    def offer(self, data: bytes, *, newest_sent: int) -> bool:
-        """Take a received message if it is valid. Return whether it was taken.
-
-        `newest_sent` is the sequence of the last state.
-        """
-        self._newest_sent = newest_sent
+    def offer(self, data: bytes, *, sent: SentStates) -> bool:
+        """Take a received message if it is valid. Return whether it was taken."""
+        self._sent = sent
         try:
             message = self._decode(data)
+            self._check_echo(message.sequence, message.stamp_ns)
             self._take(message)
         except MessageRefused as refusal:
             self.refused[refusal.reason] += 1
@@ -85,8 +90,16 @@ class AnswerCache(ABC):
             raise MessageRefused("session", "answers another start of the robot")
         if sequence <= self._newest_sequence:
             raise MessageRefused("stale", f"{sequence}")
-        if sequence > self._newest_sent:
+        if sequence > self._sent.newest:
             raise MessageRefused("future", f"{sequence}")
+
+    def _check_echo(self, sequence: int, stamp_ns: int) -> None:
+        """Raise `MessageRefused` if the echoed time is not that of the state."""
+        sent_ns = self._sent.stamp_ns(sequence)
+        if sent_ns is None:
+            raise MessageRefused("stale", f"{sequence}, which is forgotten")
+        if stamp_ns != sent_ns:
+            raise MessageRefused("stamp", f"{stamp_ns}, sent {sent_ns}")
 
     @abstractmethod
     def _decode(self, data: bytes) -> Any: ...
@@ -102,6 +115,7 @@ class ProjectorCache(AnswerCache):
         super().__init__(codec, session=session)
         self.newest_solution: CacheEntry | None = None
         self._entries: dict[ContactMode, CacheEntry] = {}
+        self._proven: dict[ContactMode, CacheEntry] = {}
 
     def _decode(self, data: bytes) -> ProjectorMessage:
         return self._codec.decode_projector(data, self._judge)
@@ -125,7 +139,29 @@ class ProjectorCache(AnswerCache):
             same_state = entry.sequence == held.sequence
             if entry.sequence < held.sequence or (same_state and entry.on_board):
                 return
+            if held.proven:
+                self._proven[mode] = held
         self._entries[mode] = entry
+
+    def state_of(self, entry: CacheEntry) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return (q, v) of the state that an entry was computed from; None if it is forgotten."""
+        return self._sent.state(entry.sequence)
+
+    def reject(self, entry: CacheEntry) -> None:
+        """Count an entry as refused, and go back to the last proven one of its contact mode.
+
+        Answers to older states are then welcome again.
+        """
+        self.refused["dynamics"] += 1
+        mode = entry.projector.mode
+        before = self._proven.get(mode)
+        if before is None:
+            del self._entries[mode]
+            self._newest_sequence = -1
+        else:
+            self._entries[mode] = before
+            self._newest_sequence = before.sequence
+            self.newest_stamp_ns = before.stamp_ns
 
     def lookup(self, mode: ContactMode, *, time_ns: int) -> CacheEntry | None:
         """Return the newest projector of a mode that may be used at a task time, or None."""
@@ -151,9 +187,16 @@ class FactorisationCache(AnswerCache):
     """Newest factorisation per contact mode. It never expires: corrections make up for its age."""
 
     def __init__(
-        self, codec: Codec, stacks: dict[ContactMode, Stack], *, session: int, level: str
+        self,
+        codec: Codec,
+        stacks: dict[ContactMode, Stack],
+        *,
+        session: int,
+        level: str,
+        verifier: FactorisationVerifier,
     ) -> None:
         super().__init__(codec, session=session)
+        self._verifier = verifier
         self._stacks = stacks
         self._level = level
         self._entries: dict[ContactMode, CorrectorEntry] = {}
@@ -169,6 +212,9 @@ class FactorisationCache(AnswerCache):
         return self._codec.decode_factorisations(data, self._judge)
 
     def _take(self, message: FactorisationMessage) -> None:
+        measured = self._sent.posture(message.sequence)
+        for factorisation in message.factorisations:
+            self._verifier.check(factorisation, measured=measured)
         self.keep(message.factorisations, sequence=message.sequence, stamp_ns=message.stamp_ns)
 
     def keep(

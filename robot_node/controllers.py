@@ -16,14 +16,16 @@ import numpy as np
 
 from robot_node.cache import AnswerCache, CacheEntry, ProjectorCache
 from robot_node.onboard import OnBoard, OnBoardWindow, StartComputer, projector_solve
+from robot_node.verification import ProjectorVerifier
 from shared.config.extensions import CONTROLLERS, Taken
 from shared.config.settings import RunConfig
 from shared.telemetry.schema import Source
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference
-from shared.wbc.stack import Stack
-from shared.wbc.torque import recover_torque
+from shared.wbc.stack import N_DYNAMICS, Stack
+from shared.wbc.torque import recover_force
+from shared.wbc.torque import recover_force
 from shared.wire.codec import Codec
 
 
@@ -157,6 +159,7 @@ class LocallyAssisted(Controller):
             self.on_board = OnBoardWindow(switch, motion, computer, self.cache)
         self._model = parts.model
         self._stacks = parts.stacks
+        self._verifier = ProjectorVerifier(parts.model, parts.stacks, motion.reference(0))
         self._stack: Stack
         self._q: np.ndarray
         self._v: np.ndarray
@@ -168,12 +171,21 @@ class LocallyAssisted(Controller):
         self._b = self._stack.right_hand_side(self._model.kinematics(q, v), reference)
 
     def command(self, *, time_ns: int) -> Decision | None:
-        entry = self.cache.lookup(self._stack.mode, time_ns=time_ns)
-        if entry is None:
-            return None
-        y = entry.projector.apply(self._b)
-        tau = recover_torque(self._model, self._stack.contacts, self._q, self._v, y)
-        return _decision(entry, tau, y)
+        model, stack = self._model, self._stack
+        while (entry := self.cache.lookup(stack.mode, time_ns=time_ns)) is not None:
+            y = entry.projector.apply(self._b)
+            force = recover_force(model, stack.contacts, self._q, self._v, y)
+            tau = force[N_DYNAMICS:].copy()
+            if entry.proven or self._verifier.is_plausible(force) or self._is_exact(entry):
+                # From now on it may grow stale, which is no fault of the edge.
+                entry.proven = True
+                return _decision(entry, tau, y)
+            self.cache.reject(entry)
+        return None
+
+    def _is_exact(self, entry: CacheEntry) -> bool:
+        state = self.cache.state_of(entry)
+        return state is not None and self._verifier.is_exact(entry.projector, *state)
 
 
 def _decision(entry: CacheEntry, tau: np.ndarray, y: np.ndarray) -> Decision:

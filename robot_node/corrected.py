@@ -15,6 +15,7 @@ import numpy as np
 from robot_node.cache import CorrectorEntry, FactorisationCache
 from robot_node.controllers import Controller, ControllerParts, Decision
 from robot_node.onboard import OnBoardRefresh, factorisation_solve
+from robot_node.verification import FactorisationVerifier
 from shared.telemetry.schema import Source
 from shared.wbc.contacts import ContactMode
 from shared.wbc.correction import Iterate
@@ -65,8 +66,15 @@ class LocallyCorrected(Controller):
 
     def __init__(self, parts: ControllerParts) -> None:
         config = parts.config.correction
+        # Of the operating system's entropy, because an edge that knew the numbers could pass the
+        # test. Which factorisations pass does not depend on them.
+        rng = np.random.default_rng()
         self.cache: FactorisationCache = FactorisationCache(
-            parts.codec, parts.stacks, session=parts.session, level=config.level
+            parts.codec,
+            parts.stacks,
+            session=parts.session,
+            level=config.level,
+            verifier=FactorisationVerifier(parts.model.robot, parts.stacks, parts.config, rng),
         )
         if config.on_board_budget > 0.0:
             computer = parts.start_computer(factorisation_solve)

@@ -75,6 +75,11 @@ class LiveLoop:
         """Messages refused so far, by reason."""
         return dict(self._node.cache.refused)
 
+    @property
+    def sensor_faults(self) -> dict[str, int]:
+        """Samples held over so far, by the sensor."""
+        return dict(self._node.sensor_guard.faults)
+
     def receive(self, delivery: Delivery) -> None:
         """Take in a message from the edge; called on the bus's thread."""
         self._arrived_ns = self._clock.now_ns()
@@ -165,6 +170,7 @@ class Narrator:
     def _watch(self) -> None:
         running, stale_since, holding, stopping = False, 0.0, False, False
         reported = {_OVERTAKEN}
+        faulty: set[str] = set()
         while not self._done.wait(self._PERIOD_SECONDS):
             progress = self._loop.progress
             if not progress.running:
@@ -188,6 +194,12 @@ class Narrator:
             if progress.source is Source.STOPPING and not stopping:
                 stopping = True
                 self._say(f"{at}: corrections are doubtful: ending the walk")
+            for sensor in self._loop.sensor_faults.keys() - faulty:
+                faulty.add(sensor)
+                self._say(
+                    f"{at}: implausible measurement of {sensor}: held over; counted in the report "
+                    "at the end"
+                )
             for reason in self._loop.refused.keys() - reported:
                 reported.add(reason)
                 self._say(

@@ -17,7 +17,9 @@ from robot_node.controllers import Command, ControllerParts, MakeController, mak
 from robot_node.onboard import MakeSolve, ModelledComputer, OnBoardComputer, StartComputer
 from robot_node.plant import Plant, make_plant
 from robot_node.safety import JointHold, TorqueGuard, TorqueRateLimiter, has_fallen
+from robot_node.sensor_guard import SensorGuard
 from robot_node.sensors import Sensors
+from robot_node.sent_states import SentStates
 from robot_node.tick_row import Moment, TickRow
 from shared.bus.base import new_session
 from shared.config.settings import RunConfig
@@ -56,10 +58,13 @@ class RobotNode:
         self._motion = motion
         self._plant = self._make_plant(robot)
         self._sensors = Sensors(config.sensors, seed=config.seed)
+        period_ns = config.loop.period_ns
+        self.sensor_guard = SensorGuard(robot, config.sensors, period_ns=period_ns)
         self._model = WholeBodyModel(robot)
         stacks = make_stacks(robot, config.wbc)
         self.tick_row = TickRow(self.schema, self._model, stacks)
         self._session = new_session() if session is None else session
+        self._sent = SentStates(robot.model.nv - 6)
         self._codec = Codec(robot, config, motion)
 
         def model_computer(make_solve: MakeSolve) -> OnBoardComputer:
@@ -97,11 +102,12 @@ class RobotNode:
     def measure(self, now_ns: int) -> bytes:
         """First phase: sense, observe, and return the state message to send."""
         self._true_state = self._plant.state()
-        q, v = self._sensors.measure(*self._true_state)
+        q, v = self.sensor_guard.check(*self._sensors.measure(*self._true_state))
         self._q, self._v = q, v
         self._reference = self._motion.reference(self.time_ns)
         self.controller.observe(q, v, self._reference)
         self._measured_ns = now_ns
+        self._sent.add(self.tick, stamp_ns=now_ns, q=q, v=v)
         return self._codec.encode_state(
             RobotState(
                 session=self._session,
@@ -117,7 +123,7 @@ class RobotNode:
 
     def receive(self, data: bytes) -> bool:
         """Offer a message from the edge to the cache. Return whether it was taken."""
-        return self.cache.offer(data, newest_sent=self.tick)
+        return self.cache.offer(data, sent=self._sent)
 
     def command(self, now_ns: int) -> Command:
         """Second phase: the torque of this tick, Eq. (7)."""

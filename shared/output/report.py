@@ -37,6 +37,7 @@ def robot_report(
     received: int,
     lost: int,
     refused: dict[str, int],
+    sensor_faults: dict[str, int],
 ) -> dict[str, Any]:
     """Return the robot's part, from its tick rows; rows before the task began are left out.
 
@@ -70,6 +71,7 @@ def robot_report(
         "tick_lateness_ms": quantiles(column("late_ns") * 1e-6),
         "overruns": int(column("overruns")[-1]) if len(rows) else 0,
         "realtime_factor": round(seconds / wall_seconds, 4) if wall_seconds > 0 else None,
+        "sensor_faults": sensor_faults,
         "log_hash": log_hash(schema, rows),
         "link": {
             "uplink": {"sent": sent},

@@ -1,0 +1,125 @@
+"""Checks of an answer's content: an edge may be silent, but it must not make a robot fall.
+
+LC's factorisation is a set of matrices that the robot can tell from all others: the inverse of its
+own KKT matrix, at a posture near the one that it sent. LA's projector holds a choice of the edge,
+the trade-off between tasks. The robot can tell only whether its solution obeys the robot's
+dynamics and contacts.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from shared.config.settings import RunConfig
+from shared.errors import MessageRefused
+from shared.robots import Robot
+from shared.wbc.contacts import ContactMode
+from shared.wbc.correction import Factorisation
+from shared.wbc.finite import all_finite
+from shared.wbc.model import WholeBodyModel
+from shared.wbc.projector import Projector
+from shared.wbc.reference import Reference
+from shared.wbc.stack import Stack
+from shared.wbc.verification import InverseTest
+
+# Distance of a factorised posture from the one that the robot sent [rad]: root mean square, and of
+# one joint. The edge looks ahead by up to 0.05 rad, a third of which may be in one joint. Noise
+# comes on top, in standard deviations.
+_DISTANCE, _DISTANCE_NOISE = 0.07, 2.0
+_JOINT_DISTANCE, _JOINT_NOISE = 0.3, 6.0
+
+# Force and moment [of the weight, and of the weight times the height of the CoM] that the base
+# would lack to follow a projector's solution when it is first used. Beyond these the projector is
+# tested at its own state. With answers 120 ms old Romeo lacks up to 0.15 and 0.11 in a push; with
+# no forces at all, 1.
+_FORCE, _MOMENT = 0.2, 0.2
+_GRAVITY = 9.81
+# Of the largest equality row, at its own state. Measured in single precision: 1e-5.
+_EXACT = 1e-2
+
+
+class FactorisationVerifier:
+    """Compares factorisations with the robot's own model.
+
+    `rng` draws the vectors of the test. Its seed must be a secret.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        stacks: dict[ContactMode, Stack],
+        config: RunConfig,
+        rng: np.random.Generator,
+    ) -> None:
+        # A workspace of its own: an answer may come between the two phases of a tick.
+        self._model = WholeBodyModel(robot)
+        self._stacks = stacks
+        self._tests = {
+            mode: InverseTest(stack, damping=config.correction.damping, rng=rng)
+            for mode, stack in stacks.items()
+        }
+        noise = config.sensors.joint_position_noise
+        # The study of wrong postures has the edge move every joint by this much.
+        wrong = config.correction.posture_error
+        self._distance = _DISTANCE + _DISTANCE_NOISE * noise + wrong
+        self._joint_distance = _JOINT_DISTANCE + _JOINT_NOISE * noise + wrong
+
+    def check(self, factorisation: Factorisation, *, measured: np.ndarray) -> None:
+        """Raise `MessageRefused` if these are not the blocks at a posture near `measured`.
+
+        `measured` (nv − 6,) are the joint positions of the state that the answer is for [rad].
+        """
+        posture = factorisation.posture
+        moved = posture - measured
+        distance = math.sqrt(moved @ moved / len(moved))
+        if not (distance <= self._distance and np.abs(moved).max() <= self._joint_distance):
+            raise MessageRefused("posture", f"{distance:.2f} rad from the state that it is for")
+        q = self._model.robot.q_standing.copy()
+        q[7:] = posture
+        mode = factorisation.mode
+        matrices = self._stacks[mode].matrices(self._model.jacobians(q))
+        if not self._tests[mode].passes(matrices, factorisation):
+            raise MessageRefused("not_inverse", f"{mode.name}: not the robot's own KKT matrix")
+
+
+class ProjectorVerifier:
+    """Compares projectors with the robot's own dynamics and contacts.
+
+    The solution of a projector at its own state obeys them exactly, for any b. Later it does not,
+    but hardly less on the next ticks. The force that the base lacks is known in every tick. Only if
+    it is large at the first use is the projector tested at its own state.
+    """
+
+    def __init__(
+        self, model: WholeBodyModel, stacks: dict[ContactMode, Stack], reference: Reference
+    ) -> None:
+        self._model = model
+        self._stacks = stacks
+        self._reference = reference
+        weight = _GRAVITY * model.robot.mass
+        self._force = (_FORCE * weight) ** 2
+        self._moment = (_MOMENT * weight * float(reference.com[2])) ** 2
+
+    def is_plausible(self, force: np.ndarray) -> bool:
+        """Return whether the base lacks little of `force` (nv,), M a + h − J_cᵀ f."""
+        f, m = force[:3], force[3:6]
+        return bool(f.dot(f) <= self._force) and bool(m.dot(m) <= self._moment)
+
+    def is_exact(self, projector: Projector, q: np.ndarray, v: np.ndarray) -> bool:
+        """Return whether the projector's solution obeys all equalities at its own state (q, v).
+
+        Overwrites the model.
+        """
+        stack, model = self._stacks[projector.mode], self._model
+        b = stack.right_hand_side(model.kinematics(q, v), self._reference)
+        with np.errstate(over="ignore", invalid="ignore"):
+            y = projector.apply(b)
+            if not all_finite(y):
+                return False
+            left = stack.right_hand_side(
+                stack.kinematics_at(y, model=model, q=q, v=v), self._reference
+            )
+            wrong = np.abs(left[stack.equality_rows]).max()
+        return bool(wrong <= _EXACT * np.abs(b[stack.equality_rows]).max())
