@@ -1,18 +1,19 @@
-"""One state in, one projector out; always the newest state, never a queue.
+"""One state in, one projector out; always the newest state of each robot, never a queue.
 
 Pure: takes bytes and returns bytes. A state that cannot be used is counted under its reason; a QP
 that cannot be solved is counted under its status, and the robot goes on with what it has.
+`edge_node/session.py` keeps what belongs to one robot apart from the others.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 
 import numpy as np
 
-from edge_node.posture import PostureEstimate
-from edge_node.refresh import FactorisationRefresh
+from edge_node.limits import StateLimits
+from edge_node.session import RobotSession, Sessions
 from shared.bus.base import RefusalCounter
 from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
@@ -34,8 +35,11 @@ _STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The result of the edge for one state: `data` to publish, or None if there was no solution."""
+    """The result of the edge for one state of `robot`: `data` to publish, or None if there was no
+    solution.
+    """
 
+    robot: str
     state_sequence: int
     solution: WholeBodySolution
     data: bytes | None
@@ -53,10 +57,12 @@ class Answer:
 
 
 class EdgeNode:
-    """The full controller at the far end of the link."""
+    """The full controller at the far end of the link, for robots of one kind with the same task."""
 
     def __init__(self, robot: Robot, config: RunConfig, motion: Motion) -> None:
         self.refused = RefusalCounter()
+        self.refused_from: defaultdict[str, RefusalCounter] = defaultdict(RefusalCounter)
+        self.sessions = Sessions(config, motion)
         self.solved: Counter[str] = Counter()
         self._controller = WholeBodyController(robot, config.wbc, motion)
         self._codec = Codec(robot, config, motion)
@@ -64,45 +70,44 @@ class EdgeNode:
         self._config = config
         signs = np.random.default_rng([config.seed, 11]).choice([-1.0, 1.0], robot.model.nv - 6)
         self._posture_error = config.correction.posture_error * signs
-        self._posture = PostureEstimate(config.correction.average_ns)
-        self._refresh = FactorisationRefresh(config.correction, motion)
-        self._newest: RobotState | None = None
-        self._last_seen: tuple[int, int] | None = None
+        self._limits = StateLimits(robot)
 
-    def receive(self, data: bytes) -> None:
-        """Take a message in. Keep its state if it is valid and newer than the last one."""
+    def receive(self, data: bytes, now_ns: int, *, robot: str = "") -> None:
+        """Take a message in that has arrived on the key of `robot`.
+
+        Keep its state if it is valid and newer than the last one of its session.
+        """
         try:
             state = self._codec.decode_state(data)
-            if self._last_seen is not None:
-                session, sequence = self._last_seen
-                if state.session == session and state.sequence <= sequence:
-                    raise MessageRefused("stale", f"{state.sequence} after {sequence}")
+            self._limits.check(state.q, state.v)
+            self.sessions.take(robot, state, now_ns=now_ns)
         except MessageRefused as refusal:
             self.refused[refusal.reason] += 1
-            return
-        self._last_seen = (state.session, state.sequence)
-        self._newest = state
+            self.refused_from[robot][refusal.reason] += 1
 
     def step(self) -> Answer | None:
-        """Answer the newest state, once. Return None if there is none."""
-        state, self._newest = self._newest, None
-        if state is None:
-            return None
-        if state.held_sequences is not None:
-            return self._factorise(state, state.held_sequences)
-        return self._project(state)
+        """Answer the state whose turn it is, once. Return None if no answer is due."""
+        while (turn := self.sessions.next()) is not None:
+            robot, session, state = turn
+            self._controller.last_active = session.last_active
+            if state.held_sequences is None:
+                return self._project(robot, state)
+            answer = self._factorise(robot, session, state, state.held_sequences)
+            if answer is not None:
+                return answer
+        return None
 
     def solve(self, state: RobotState) -> tuple[WholeBodySolution, np.ndarray]:
         """Solve the full QP at a state. Return its solution and b. Count and encode nothing."""
         return self._controller.solve(state.q, state.v, time_ns=state.time_ns, mode=state.mode)
 
-    def _project(self, state: RobotState) -> Answer:
+    def _project(self, robot: str, state: RobotState) -> Answer:
         """A projector for a robot that applies it; no data if the QP has no solution."""
         controller = self._controller
         solution, b = self.solve(state)
         self.solved[solution.status.value] += 1
         if solution.status is not QpStatus.SOLVED or solution.projector is None:
-            return Answer(state.sequence, solution, None)
+            return Answer(robot, state.sequence, solution, None)
         # Rounded first, so that the torque sent is the one that the projector sent gives.
         projector = self._codec.rounded(solution.projector)
         y = projector.apply(b)
@@ -116,24 +121,31 @@ class EdgeNode:
             y=y,
             projectors=(controller.timed(projector, from_ns=state.time_ns), *self._prepared(state)),
         )
-        return Answer(state.sequence, solution, self._codec.encode_projector(message))
+        return Answer(robot, state.sequence, solution, self._codec.encode_projector(message))
 
-    def _factorise(self, state: RobotState, held_sequences: tuple[int, ...]) -> Answer | None:
+    def _factorise(
+        self,
+        robot: str,
+        session: RobotSession,
+        state: RobotState,
+        held_sequences: tuple[int, ...],
+    ) -> Answer | None:
         """Factorisations for a robot that corrects, where it needs new ones; or a sign of life."""
         correction = self._config.correction
-        self._posture.observe(state.q, state.v, stamp_ns=state.stamp_ns)
-        modes = self._refresh.due(state, held_sequences, posture=self._posture.now)
+        session.posture.observe(state.q, state.v, stamp_ns=state.stamp_ns)
+        modes = session.refresh.due(state, held_sequences, posture=session.posture.now)
         if modes is None:
             return None
         # Ahead of a robot in motion: it then passes this posture half-way through its use.
-        posture = self._posture.ahead(min(_LEAD * correction.refresh_distance, _MAX_LEAD))
+        posture = session.posture.ahead(min(_LEAD * correction.refresh_distance, _MAX_LEAD))
         q = state.q.copy()
         q[7:] = posture + self._posture_error
         factorisations = self._controller.factorise(q, modes, damping=correction.damping)
         if factorisations is None:
             self.solved[QpStatus.NOT_FINITE.value] += 1
-            return Answer(state.sequence, WholeBodySolution(QpStatus.NOT_FINITE, None, 0), None)
-        self._refresh.sent(state, modes, posture=posture)
+            failed = WholeBodySolution(QpStatus.NOT_FINITE, None, 0)
+            return Answer(robot, state.sequence, failed, None)
+        session.refresh.sent(state, modes, posture=posture)
         self.solved[QpStatus.SOLVED.value] += 1
         message = FactorisationMessage(
             session=state.session,
@@ -142,7 +154,7 @@ class EdgeNode:
             factorisations=factorisations,
         )
         solution = WholeBodySolution(QpStatus.SOLVED, None, 0)
-        return Answer(state.sequence, solution, self._codec.encode_factorisations(message))
+        return Answer(robot, state.sequence, solution, self._codec.encode_factorisations(message))
 
     def _prepared(self, state: RobotState) -> tuple[TimedProjector, ...]:
         """Projectors of the coming contact modes, shortly before the switches to them."""

@@ -8,13 +8,16 @@ import numpy as np
 
 # No velocity is a prediction for longer than this [s].
 _LEAD_SECONDS = 0.05
+# A joint this far from its prediction [rad] is a fault of its sensor, unless it stays there.
+_JUMP = 0.5
 
 
 class PostureEstimate:
     """Joint positions [rad], carried on by the measured velocities, their noise averaged out.
 
     `now` (nv − 6,) is where the joints are. The time constant of the average is `average_ns`; as it
-    corrects a prediction, steady motion makes no lag.
+    corrects a prediction, steady motion makes no lag. A joint that jumps is not followed; if jumps
+    have come for as long as a prediction holds, the average begins anew.
     """
 
     def __init__(self, average_ns: int) -> None:
@@ -22,6 +25,7 @@ class PostureEstimate:
         self.now = np.zeros(0)
         self._v = np.zeros(0)
         self._stamp_ns: int | None = None
+        self._jumped_ns: int | None = None
 
     def observe(self, q: np.ndarray, v: np.ndarray, *, stamp_ns: int) -> None:
         """A newer state: q (nq,), v (nv,), when it was measured [ns]."""
@@ -30,10 +34,23 @@ class PostureEstimate:
         if self._average > 0.0 and 0.0 <= seconds < _LEAD_SECONDS:
             carried = self.now + seconds * self._v
             gain = -math.expm1(-seconds / self._average)
-            self.now = carried + gain * (measured - carried)
+            moved = measured - carried
+            jumps = np.abs(moved) > _JUMP
+            if not jumps.any():
+                self._jumped_ns = None
+            elif self._jumped_ns is None:
+                self._jumped_ns = stamp_ns
+            if self._jumped_ns is None or (stamp_ns - self._jumped_ns) * 1e-9 < _LEAD_SECONDS:
+                moved[jumps] = 0.0
+                self.now = carried + gain * moved
+            else:
+                self._begin(measured)
         else:  # also the first one, after a gap, or of a robot that has started anew
-            self.now = measured.copy()
+            self._begin(measured)
         self._v, self._stamp_ns = v[6:], stamp_ns
+
+    def _begin(self, measured: np.ndarray) -> None:
+        self.now, self._jumped_ns = measured.copy(), None
 
     def ahead(self, distance: float) -> np.ndarray:
         """Joint positions after a motion of `distance` [rad], root mean square over the joints; (nv

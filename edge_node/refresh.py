@@ -17,7 +17,8 @@ from shared.wbc.contacts import ContactMode
 from shared.wbc.reference import Motion
 from shared.wire.messages import RobotState
 
-_MAX_BACKOFF = 16.0
+# Doublings of the wait at most.
+_MAX_DOUBLINGS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +31,11 @@ class _Sent:
 
 
 class FactorisationRefresh:
-    """Remembers the factorisations sent to one robot."""
+    """Remembers the factorisations sent to one start of a robot."""
 
     def __init__(self, config: CorrectionConfig, motion: Motion) -> None:
         self._config = config
         self._motion = motion
-        self._session = -1
         self._answered_ns = self._round_trip_ns = 0
         self._sent: dict[ContactMode, _Sent] = {}
 
@@ -46,9 +46,6 @@ class FactorisationRefresh:
 
         None if no answer is due at all.
         """
-        if state.session != self._session:
-            self._session = state.session
-            self._sent.clear()
         self._note_arrivals(state, held_sequences)
         needed = {state.mode, self._next_mode(state)}
         modes = tuple(mode for mode in ContactMode if self._is_due(mode, state, needed, posture))
@@ -94,7 +91,7 @@ class FactorisationRefresh:
         """Time before the next try [ns]: doubled with every try up to a limit, at least 1.2 round
         trips.
         """
-        backoff = min(2.0 ** (sent.tries - 1), _MAX_BACKOFF)
+        backoff = 2 ** min(sent.tries - 1, _MAX_DOUBLINGS)
         return max(self._config.retry_ns * backoff, 1.2 * self._round_trip_ns)
 
     def _next_mode(self, state: RobotState) -> ContactMode:

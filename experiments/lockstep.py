@@ -163,7 +163,7 @@ class Lockstep:
 
     def _edge_starts(self) -> None:
         for data in self._edge_inbox.take():
-            self.edge.receive(data)
+            self.edge.receive(data, self.clock.now_ns())
         started = time.perf_counter_ns()
         answer = self.edge.step()
         if answer is None:
@@ -237,7 +237,7 @@ class Lockstep:
         for data in self._unsolved.values():
             state = self._codec.decode_state(data)
             solution, _ = self.edge.solve(state)
-            Answer(state.sequence, solution, None).record(missed.row(), wall_ns=0, solve_ns=0)
+            Answer("", state.sequence, solution, None).record(missed.row(), wall_ns=0, solve_ns=0)
         missed.close()
         solved = np.concatenate([missed.rows(), solve_rows])
         return discrepancy_report(self.robot.schema, rows, solved)

@@ -32,8 +32,8 @@ class CacheEntry:
     """A projector, and the state it was computed from: its tick and the robot's clock then.
 
     `tau` and `y` are the full solution at that state. They are None for a projector that was solved
-    on board or for another contact mode than the state's. `proven`: it has been tested at its first
-    use.
+    on board or for another contact mode than the state's. `proven`: it comes from the
+    robot itself, or has passed the test at its first use.
     """
 
     timed: TimedProjector

@@ -169,7 +169,7 @@ class OnBoardWindow:
         self._under_way = None
         timed = self._computer.take()
         if timed is not None:
-            self._cache.keep(CacheEntry(timed, sequence, stamp_ns, on_board=True))
+            self._cache.keep(CacheEntry(timed, sequence, stamp_ns, on_board=True, proven=True))
 
     def _due(self, time_ns: int) -> int | None:
         """Return the task time to solve for now: a coming switch, the present, or None."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import msgpack
 import numpy as np
 
+from robot_node.sent_states import SentStates
 from shared.robots import Robot
 from shared.wbc.answer import Factorisation, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
@@ -20,6 +21,7 @@ from shared.wire.messages import (
 )
 
 FOR_EVER_NS = 2**62
+STAMP_NS = 11_000_000
 
 
 def make_state(robot: Robot, **changes: Any) -> RobotState:
@@ -27,13 +29,30 @@ def make_state(robot: Robot, **changes: Any) -> RobotState:
     state = RobotState(
         session=5,
         sequence=3,
-        stamp_ns=11_000_000,
+        stamp_ns=STAMP_NS,
         time_ns=1_000_000,
         mode=ContactMode.DOUBLE_SUPPORT,
         q=robot.q_standing.copy(),
         v=np.zeros(robot.model.nv),
     )
     return dataclasses.replace(state, **changes)
+
+
+def sent_states(
+    newest: int = 10,
+    *,
+    stamps_ns: Mapping[int, int] | None = None,
+    state: tuple[np.ndarray, np.ndarray] | None = None,
+) -> SentStates:
+    """States 0 to `newest` as a robot remembers them, all at (q, v) and at the time of the messages
+    above, but for those in `stamps_ns`.
+    """
+    q, v = (np.zeros(38), np.zeros(37)) if state is None else state
+    states = SentStates(len(v) - 6)
+    for sequence in range(newest + 1):
+        stamp_ns = (stamps_ns or {}).get(sequence, STAMP_NS)
+        states.add(sequence, stamp_ns=stamp_ns, q=q, v=v)
+    return states
 
 
 def make_projector(stack: Stack, rng: np.random.Generator) -> Projector:
@@ -52,7 +71,7 @@ def make_answer(stack: Stack, rng: np.random.Generator, **changes: Any) -> Proje
     message = ProjectorMessage(
         session=5,
         sequence=3,
-        stamp_ns=11_000_000,
+        stamp_ns=STAMP_NS,
         mode=stack.mode,
         tau=10.0 * rng.standard_normal(layout.n_accelerations - 6),
         y=100.0 * rng.standard_normal(layout.n_unknowns),
@@ -92,7 +111,7 @@ def make_correction(
     message = FactorisationMessage(
         session=5,
         sequence=3,
-        stamp_ns=11_000_000,
+        stamp_ns=STAMP_NS,
         factorisations=tuple(make_factorisation(stack, rng) for stack in stacks),
     )
     return dataclasses.replace(message, **changes)

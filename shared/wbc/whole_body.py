@@ -22,14 +22,18 @@ FOR_EVER_NS = 2**62
 
 
 class WholeBodyController:
-    """Solves the whole-body QP of one robot and task, in any contact mode."""
+    """Solves the whole-body QP of one robot and task, in any contact mode.
+
+    `last_active` are the active sets of the last solutions, which are tried first. A caller with
+    several robots gives each its own.
+    """
 
     def __init__(self, robot: Robot, config: WbcConfig, motion: Motion) -> None:
         self.model = WholeBodyModel(robot)
         self.stacks = make_stacks(robot, config)
         self._motion = motion
         self._solver = make_solver(config.solver)
-        self._last_active: dict[ContactMode, np.ndarray] = {}
+        self.last_active: dict[ContactMode, np.ndarray] = {}
 
     def solve(
         self, q: np.ndarray, v: np.ndarray, *, time_ns: int, mode: ContactMode
@@ -40,10 +44,10 @@ class WholeBodyController:
         b = stack.right_hand_side(kinematics, self._motion.reference(time_ns))
         matrices = stack.matrices(self.model.jacobians(q))
         solution = solve(
-            stack, matrices, b, solver=self._solver, likely_active=self._last_active.get(mode)
+            stack, matrices, b, solver=self._solver, likely_active=self.last_active.get(mode)
         )
         if solution.projector is not None:
-            self._last_active[mode] = solution.projector.active
+            self.last_active[mode] = solution.projector.active
         return solution, b
 
     def factorise(

@@ -48,7 +48,6 @@ class Bench:
         self.motion = motion
         self.q = robot.q_standing.copy()
         self.held_sequences = [-1, -1, -1]
-        self.session = 1
         self._robot = robot
 
     def due(self, tick):
@@ -58,7 +57,6 @@ class Bench:
         # The robot's clock began long before.
         return make_state(
             self._robot,
-            session=self.session,
             sequence=tick,
             stamp_ns=(5_000 + tick) * MS,
             time_ns=tick * MS,
@@ -316,14 +314,11 @@ def test_an_infinite_distance_means_never(bench):
     assert [served.modes(tick) for tick in (1, 300, 601)] == [()] * 3
 
 
-def test_a_robot_that_started_anew_is_served_from_the_beginning(bench):
+def test_a_robot_that_never_reports_an_arrival_is_served_for_ever(bench):
     served = bench()
-    served.serve(900)
-    served.session, served.held_sequences = 2, [-1, -1, -1]
-    # Its ticks count from zero again, and its clock may, too.
-    assert served.serve(0) == EVERY_MODE
-    assert served.due(1) is None
-    assert served.due(100) == ()
+    # Two doublings of a number per try would overflow it after a thousand.
+    sent = [served.serve(100 * k, arrives=False) for k in range(20_000)]
+    assert sum(modes == EVERY_MODE for modes in sent) > 1100
 
 
 def test_an_edge_that_started_anew_sends_to_a_robot_that_holds_something(bench):

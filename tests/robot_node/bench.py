@@ -32,7 +32,7 @@ class Bench:
     def tick(self, *, deliver=lambda answer: [answer]):
         """One period; `deliver` turns the edge's answer into the messages that arrive."""
         self.sent = self._tick.begin(self.now_ns)
-        self.edge.receive(self.sent)
+        self.edge.receive(self.sent, self.now_ns)
         answer = self.edge.step()
         arrived = []
         if answer is not None and answer.data is not None:

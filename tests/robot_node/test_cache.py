@@ -15,10 +15,18 @@ from tests.messages import (
     make_correction,
     make_factorisation,
     make_projector,
+    sent_states,
 )
 
 SESSION = 5
 DOUBLE, LEFT, RIGHT = ContactMode
+
+
+class Anything:
+    """A verifier for tests whose factorisations are random numbers."""
+
+    def check(self, factorisation, *, measured):
+        pass
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +58,9 @@ def held(cache, mode=DOUBLE):
 
 @pytest.fixture
 def factorisations(codec, stacks):
-    return FactorisationCache(codec, stacks, session=SESSION, level="b")
+    return FactorisationCache(
+        codec, stacks, session=SESSION, level="b", verifier=Anything()
+    )
 
 
 @pytest.fixture
@@ -71,44 +81,44 @@ def test_an_empty_cache_has_nothing_for_any_mode(cache):
 
 
 def test_the_newest_answer_is_held(cache, answer):
-    assert cache.offer(answer(3), newest_sent=10)
-    assert cache.offer(answer(7), newest_sent=10)
+    assert cache.offer(answer(3), sent=sent_states())
+    assert cache.offer(answer(7), sent=sent_states())
     assert held(cache) == 7
     assert not cache.refused
 
 
 @pytest.mark.parametrize("late", [6, 7])
 def test_an_answer_that_is_not_newer_is_stale(cache, answer, late):
-    cache.offer(answer(7), newest_sent=10)
+    cache.offer(answer(7), sent=sent_states())
     before = cache.lookup(DOUBLE, time_ns=0)
-    assert not cache.offer(answer(late), newest_sent=10)
+    assert not cache.offer(answer(late), sent=sent_states())
     assert cache.refused == {"stale": 1}
     assert cache.lookup(DOUBLE, time_ns=0) is before
 
 
 def test_the_answer_to_the_very_first_state_is_taken(cache, answer):
-    assert cache.offer(answer(0), newest_sent=0)
+    assert cache.offer(answer(0), sent=sent_states(0))
 
 
 def test_an_answer_to_a_state_not_sent_yet_is_from_the_future(cache, answer):
-    assert not cache.offer(answer(11), newest_sent=10)
+    assert not cache.offer(answer(11), sent=sent_states())
     assert cache.refused == {"future": 1}
     # It does not shut out the answers that do come.
-    assert cache.offer(answer(10), newest_sent=10)
+    assert cache.offer(answer(10), sent=sent_states())
 
 
 def test_the_numbers_of_a_stale_answer_are_not_looked_at(cache, codec, stacks, rng):
     good = make_answer(stacks[DOUBLE], rng, session=SESSION, sequence=7)
     data = codec.encode_projector(good)
     damaged = data.replace(good.tau.tobytes(), np.full_like(good.tau, np.nan).tobytes())
-    assert not cache.offer(damaged, newest_sent=10)
-    assert cache.offer(data, newest_sent=10)
-    assert not cache.offer(damaged, newest_sent=10)
+    assert not cache.offer(damaged, sent=sent_states())
+    assert cache.offer(data, sent=sent_states())
+    assert not cache.offer(damaged, sent=sent_states())
     assert cache.refused == {"not_finite": 1, "stale": 1}
 
 
 def test_an_answer_to_another_start_of_the_robot_is_refused(cache, answer):
-    assert not cache.offer(answer(3, session=SESSION + 1), newest_sent=10)
+    assert not cache.offer(answer(3, session=SESSION + 1), sent=sent_states())
     assert cache.refused == {"session": 1}
     assert held(cache) is None
 
@@ -116,14 +126,14 @@ def test_an_answer_to_another_start_of_the_robot_is_refused(cache, answer):
 def test_what_the_codec_refuses_is_counted_under_its_reason(cache, answer):
     good = answer(3)
     for data in (b"", good[:-1], good[:-1], bytes(50_000), b"\x80"):
-        assert not cache.offer(data, newest_sent=10)
+        assert not cache.offer(data, sent=sent_states())
     assert cache.refused == {"undecodable": 3, "oversized": 1, "version": 1}
     assert held(cache) is None
 
 
 def test_each_mode_keeps_its_own_projector(cache, answer):
-    cache.offer(answer(3, mode=DOUBLE), newest_sent=10)
-    cache.offer(answer(4, mode=LEFT), newest_sent=10)
+    cache.offer(answer(3, mode=DOUBLE), sent=sent_states())
+    cache.offer(answer(4, mode=LEFT), sent=sent_states())
     assert held(cache, DOUBLE) == 3
     assert held(cache, LEFT) == 4
     assert held(cache, RIGHT) is None
@@ -134,7 +144,7 @@ def test_one_answer_may_bring_projectors_of_several_modes(cache, answer, stacks,
     timed = tuple(
         TimedProjector(make_projector(stacks[mode], rng), 0, FOR_EVER_NS) for mode in ContactMode
     )
-    cache.offer(answer(3, projectors=timed), newest_sent=10)
+    cache.offer(answer(3, projectors=timed), sent=sent_states())
     assert [held(cache, mode) for mode in ContactMode] == [3, 3, 3]
     for mode in ContactMode:
         layout = stacks[mode].layout
@@ -147,13 +157,13 @@ def test_one_answer_may_bring_projectors_of_several_modes(cache, answer, stacks,
 )
 def test_a_projector_is_used_within_its_time_only(cache, answer, stacks, rng, time_ns, usable):
     timed = TimedProjector(make_projector(stacks[DOUBLE], rng), 100, 200)
-    cache.offer(answer(3, projectors=(timed,)), newest_sent=10)
+    cache.offer(answer(3, projectors=(timed,)), sent=sent_states())
     assert (cache.lookup(DOUBLE, time_ns=time_ns) is not None) is usable
 
 
 def test_the_cached_numbers_are_those_of_the_message(cache, codec, stacks, rng):
     message = make_answer(stacks[DOUBLE], rng, session=SESSION)
-    cache.offer(codec.encode_projector(message), newest_sent=10)
+    cache.offer(codec.encode_projector(message), sent=sent_states())
     entry = cache.lookup(DOUBLE, time_ns=0)
     np.testing.assert_array_equal(
         entry.projector.A_dagger, message.projectors[0].projector.A_dagger.astype(np.float32)
@@ -168,7 +178,7 @@ def test_a_projector_of_another_mode_has_no_solution_of_its_own(cache, answer, s
     timed = tuple(
         TimedProjector(make_projector(stacks[mode], rng), 0, FOR_EVER_NS) for mode in ContactMode
     )
-    cache.offer(answer(3, projectors=timed), newest_sent=10)
+    cache.offer(answer(3, projectors=timed), sent=sent_states())
     prepared = cache.lookup(ContactMode.LEFT_SUPPORT, time_ns=0)
     assert prepared.tau is None
     assert prepared.y is None
@@ -179,7 +189,7 @@ def test_a_projector_of_another_mode_has_no_solution_of_its_own(cache, answer, s
 def test_what_was_solved_on_board_replaces_older_answers_only(
     cache, answer, stacks, rng, sequence, wins
 ):
-    cache.offer(answer(3), newest_sent=10)
+    cache.offer(answer(3), sent=sent_states())
     timed = TimedProjector(make_projector(stacks[DOUBLE], rng), 0, FOR_EVER_NS)
     cache.keep(CacheEntry(timed, sequence, 0, on_board=True))
     assert cache.lookup(DOUBLE, time_ns=0).on_board is wins
@@ -187,7 +197,7 @@ def test_what_was_solved_on_board_replaces_older_answers_only(
 
 def test_a_cache_of_projectors_does_not_ask_for_factorisations(cache, answer):
     assert cache.held_sequences is None
-    cache.offer(answer(3), newest_sent=10)
+    cache.offer(answer(3), sent=sent_states())
     assert cache.held_sequences is None
 
 
@@ -199,11 +209,11 @@ def test_an_empty_cache_of_factorisations_holds_none_and_says_so(factorisations)
 def test_each_mode_keeps_its_newest_factorisation_and_the_cache_says_which(
     factorisations, correction
 ):
-    assert factorisations.offer(correction(0, *ContactMode), newest_sent=10)
+    assert factorisations.offer(correction(0, *ContactMode), sent=sent_states())
     assert factorisations.held_sequences == (0, 0, 0)
-    assert factorisations.offer(correction(4, LEFT, stamp_ns=44), newest_sent=10)
+    assert factorisations.offer(correction(4, LEFT, stamp_ns=44), sent=sent_states(stamps_ns={4: 44}))
     assert factorisations.held_sequences == (0, 4, 0)
-    assert factorisations.offer(correction(7, RIGHT, DOUBLE), newest_sent=10)
+    assert factorisations.offer(correction(7, RIGHT, DOUBLE), sent=sent_states())
     assert factorisations.held_sequences == (7, 4, 7)
     entry = factorisations.lookup(LEFT)
     assert (entry.sequence, entry.stamp_ns) == (4, 44)
@@ -213,46 +223,46 @@ def test_each_mode_keeps_its_newest_factorisation_and_the_cache_says_which(
 
 @pytest.mark.parametrize("late", [6, 7])
 def test_a_factorisation_that_is_not_newer_is_stale(factorisations, correction, late):
-    factorisations.offer(correction(7), newest_sent=10)
+    factorisations.offer(correction(7), sent=sent_states())
     before = factorisations.lookup(DOUBLE)
     # Of another mode too: what a robot gets, it gets in order.
     for data in (correction(late), correction(late, LEFT)):
-        assert not factorisations.offer(data, newest_sent=10)
+        assert not factorisations.offer(data, sent=sent_states())
     assert factorisations.refused == {"stale": 2}
     assert factorisations.lookup(DOUBLE) is before
     assert factorisations.lookup(LEFT) is None
 
 
 def test_a_factorisation_of_a_state_not_sent_yet_is_from_the_future(factorisations, correction):
-    assert not factorisations.offer(correction(11), newest_sent=10)
+    assert not factorisations.offer(correction(11), sent=sent_states())
     assert factorisations.refused == {"future": 1}
-    assert factorisations.offer(correction(10), newest_sent=10)
+    assert factorisations.offer(correction(10), sent=sent_states())
 
 
 def test_a_factorisation_for_another_start_of_the_robot_is_refused(factorisations, correction):
-    assert not factorisations.offer(correction(3, session=SESSION + 1), newest_sent=10)
+    assert not factorisations.offer(correction(3, session=SESSION + 1), sent=sent_states())
     assert factorisations.refused == {"session": 1}
     assert factorisations.held_sequences == (-1, -1, -1)
 
 
 def test_either_cache_refuses_what_is_for_the_other(cache, factorisations, answer, correction):
-    assert not cache.offer(correction(3), newest_sent=10)
-    assert not factorisations.offer(answer(3), newest_sent=10)
+    assert not cache.offer(correction(3), sent=sent_states())
+    assert not factorisations.offer(answer(3), sent=sent_states())
     assert cache.refused == {"kind": 1}
     assert factorisations.refused == {"kind": 1}
 
 
 def test_a_sign_of_life_leaves_what_is_held_and_is_the_newest_answer(factorisations, correction):
-    factorisations.offer(correction(3, *ContactMode, stamp_ns=33), newest_sent=10)
+    factorisations.offer(correction(3, *ContactMode, stamp_ns=33), sent=sent_states(stamps_ns={3: 33}))
     sign = make_correction([], np.random.default_rng(0), session=SESSION, sequence=7, stamp_ns=77)
-    assert factorisations.offer(factorisations._codec.encode_factorisations(sign), newest_sent=10)
+    assert factorisations.offer(factorisations._codec.encode_factorisations(sign), sent=sent_states(stamps_ns={7: 77}))
     assert factorisations.held_sequences == (3, 3, 3)
     assert factorisations.newest_stamp_ns == 77
 
 
 def test_the_cached_blocks_are_those_of_the_message(factorisations, codec, stacks, rng):
     message = make_correction([stacks[LEFT]], rng, session=SESSION)
-    factorisations.offer(codec.encode_factorisations(message), newest_sent=10)
+    factorisations.offer(codec.encode_factorisations(message), sent=sent_states())
     cached = factorisations.lookup(LEFT).corrector.factorisation
     (sent,) = message.factorisations
     for name in ("P", "Q", "T", "posture"):
@@ -284,15 +294,15 @@ NOT_DEFINITE = {
 def test_forces_that_are_not_definite_are_refused_and_leave_what_is_held(
     factorisations, codec, correction, stacks, rng, block
 ):
-    factorisations.offer(correction(3, *ContactMode), newest_sent=10)
+    factorisations.offer(correction(3, *ContactMode), sent=sent_states())
     before = [factorisations.lookup(mode) for mode in ContactMode]
     # A good one in the same message does not get in either.
     entries = (make_factorisation(stacks[LEFT], rng), broken(stacks[DOUBLE], rng, block=block))
     message = make_correction([], rng, session=SESSION, sequence=5, factorisations=entries)
-    assert not factorisations.offer(codec.encode_factorisations(message), newest_sent=10)
+    assert not factorisations.offer(codec.encode_factorisations(message), sent=sent_states())
     assert factorisations.refused == {"not_definite": 1}
     assert [factorisations.lookup(mode) for mode in ContactMode] == before
     assert factorisations.held_sequences == (3, 3, 3)
     # Nor does it shut out the next.
-    assert factorisations.offer(correction(4), newest_sent=10)
+    assert factorisations.offer(correction(4), sent=sent_states())
     assert factorisations.held_sequences == (4, 3, 3)

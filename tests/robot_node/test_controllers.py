@@ -17,8 +17,9 @@ from shared.telemetry.schema import Source
 from shared.wbc.answer import TimedProjector
 from shared.wbc.contacts import ContactMode
 from shared.wbc.torque import recover_torque
+from shared.wbc.whole_body import WholeBodyController
 from shared.wire.codec import Codec
-from tests.messages import make_answer, make_projector
+from tests.messages import STAMP_NS, make_answer, make_projector, sent_states
 
 SESSION = 5
 DOUBLE, LEFT, RIGHT = ContactMode
@@ -58,17 +59,22 @@ def stack(stacks):
 
 
 @pytest.fixture
-def answer(stack, rng):
-    return make_answer(stack, rng, session=SESSION, sequence=3, stamp_ns=11)
-
-
-@pytest.fixture
 def now(states):
     return states[1]
 
 
-def offer(controller, codec, answer):
-    assert controller.cache.offer(codec.encode_projector(answer), newest_sent=10)
+@pytest.fixture
+def answer(robot, config, motion, now, stack, rng):
+    """An answer to the present state: the true projector, with any torque and solution."""
+    controller = WholeBodyController(robot, config.wbc, motion)
+    timed = controller.projector_for(*now, time_ns=0)
+    changes = {"session": SESSION, "sequence": 3, "projectors": (timed,)}
+    return make_answer(stack, rng, **changes)
+
+
+def offer(controller, codec, answer, *, state=None):
+    sent = sent_states(state=state)
+    assert controller.cache.offer(codec.encode_projector(answer), sent=sent)
 
 
 def test_purely_remote_applies_the_torque_received(pr, codec, answer, now, reference):
@@ -111,7 +117,7 @@ def test_a_decision_names_the_answer_behind_it(parts, codec, answer, now, refere
     made.observe(*now, reference)
     decision = made.command(time_ns=0)
     projector = answer.projectors[0].projector
-    assert (decision.sequence, decision.stamp_ns) == (3, 11)
+    assert (decision.sequence, decision.stamp_ns) == (3, STAMP_NS)
     assert decision.mode is DOUBLE
     assert decision.active_set == sum(1 << row for row in projector.active)
     # What it is called if its answer is not to this very state.
@@ -135,7 +141,7 @@ def test_locally_assisted_never_uses_a_projector_of_another_mode(la, codec, answ
 
 def test_what_was_solved_on_board_is_named(la, stack, now, reference, rng):
     timed = TimedProjector(make_projector(stack, rng), 0, 100)
-    la.cache.keep(CacheEntry(timed, 4, 12, on_board=True))
+    la.cache.keep(CacheEntry(timed, 4, 12, on_board=True, proven=True))
     la.observe(*now, reference)
     assert la.command(time_ns=99).source is Source.ON_BOARD
     assert la.command(time_ns=100) is None

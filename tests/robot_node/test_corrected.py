@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 
@@ -11,6 +12,8 @@ import pytest
 
 from robot_node.controllers import ControllerParts
 from robot_node.corrected import Contraction, LocallyCorrected
+from robot_node.sensor_guard import HELD_OVER_TICKS
+from shared.errors import MessageRefused
 from shared.robots import Foot
 from shared.robots.description import sole_frame_name
 from shared.telemetry.schema import Source
@@ -388,6 +391,10 @@ def garbage(answer):
         entry = fields["factorisations"][0]
         entry["P"] = (-np.frombuffer(entry["P"], dtype="<f4")).tobytes()
 
+    def elsewhere(fields):
+        entry = fields["factorisations"][0]
+        entry["posture"] = (np.frombuffer(entry["posture"], dtype="<f4") + np.float32(0.2)).tobytes()
+
     return {
         "undecodable": answer[:-7],
         "oversized": bytes(50_000),
@@ -395,7 +402,9 @@ def garbage(answer):
         "layout": first({"layout": bytes(8)}),
         "shape": first({"Q": bytes(4)}),
         "mode": first({"mode": 9}),
-        "not_definite": altered(answer, negative),
+        "not_inverse": altered(answer, negative),
+        "posture": altered(answer, elsewhere),
+        "stamp": altered(answer, lambda f: f.update(stamp_ns=f["stamp_ns"] + 1)),
         "version": altered(answer, lambda f: f.update(version=99)),
         "kind": altered(answer, lambda f: f.update(kind="projector")),
         "config": altered(answer, lambda f: f.update(config=bytes(8))),
@@ -420,7 +429,8 @@ def test_bad_messages_are_counted_by_reason_and_change_nothing(bench):
         np.testing.assert_array_equal(attacked.column(name), clean.column(name))
     expected = dict.fromkeys(reasons, 2 * 20)
     # What is not newer is stale before it is tried.
-    expected["not_definite"], expected["stale"] = 20, 20
+    late = ("not_inverse", "posture", "stamp")
+    expected.update(dict.fromkeys(late, 20), stale=20 * len(late))
     assert attacked.robot.cache.refused == expected
     assert attacked.column("refused")[-1] == sum(expected.values())
 
@@ -442,11 +452,18 @@ def scaled(message, name, scale):
 
 
 def after_an_absurd_factorisation(played, name, scale):
-    """Two ticks with one whose numbers are scaled, and then nothing absurd any more."""
+    """Two ticks with one whose numbers are scaled, and then nothing absurd any more.
+
+    It is put into the cache by hand: the robot would not take it from a message.
+    """
 
     def absurd(answer):
         message = scaled(played.codec.decode_factorisations(answer), name, scale)
-        return [played.codec.encode_factorisations(message)]
+        with contextlib.suppress(MessageRefused):
+            played.robot.cache.keep(
+                message.factorisations, sequence=message.sequence, stamp_ns=message.stamp_ns
+            )
+        return []
 
     # That numbers overflow on the way is the point; NumPy need not say so.
     with np.errstate(all="ignore"):
@@ -475,9 +492,10 @@ def test_a_state_that_is_not_finite_holds_the_joints_for_as_long_as_it_lasts(ben
     position = played.robot._plant.data.qpos
     kept = position[20]
     position[20] = np.nan
-    # The edge would refuse such a state.
-    played.robot.measure(played.now_ns)
-    command = played.robot.command(played.now_ns + DEADLINE_NS)
+    # The edge would refuse such a state. For a while the joint is held over.
+    for _ in range(HELD_OVER_TICKS + 1):
+        played.robot.measure(played.now_ns)
+        command = played.robot.command(played.now_ns + DEADLINE_NS)
     assert command.source is Source.HELD
     assert np.isfinite(command.tau).all()
     position[20] = kept

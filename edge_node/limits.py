@@ -1,0 +1,51 @@
+"""The states that a robot can be in. Others are faults of a sensor or of a message."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shared.errors import MessageRefused
+from shared.robots import Robot
+
+# Beyond the range of the URDF [rad]. A falling robot without joint stops is up to 1.4 rad beyond it.
+_MARGIN = 0.5 * np.pi
+# Speeds [rad/s, m/s]. A falling robot has less than a tenth.
+_FASTEST_JOINT, _FASTEST_TURN, _FASTEST_BASE = 100.0, 50.0, 20.0
+# Of the height of the base when standing, up or down from there.
+_HEIGHTS = 1.5
+_UNIT = 1e-3
+
+
+class StateLimits:
+    """The limits of one robot, wide enough for noise and for a fall."""
+
+    def __init__(self, robot: Robot) -> None:
+        model = robot.model
+        self._lowest = model.lowerPositionLimit[7:] - _MARGIN
+        self._highest = model.upperPositionLimit[7:] + _MARGIN
+        self._names = model.names[2:]
+        self._height = float(robot.q_standing[2])
+
+    def check(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Raise `MessageRefused` if no robot of this kind can be at q (nq,) with velocity v (nv,)."""
+        joints, rates = q[7:], v[6:]
+        outside = (joints < self._lowest) | (joints > self._highest)
+        if outside.any():
+            self._refuse(outside, joints, "rad")
+        fast = np.abs(rates) > _FASTEST_JOINT
+        if fast.any():
+            self._refuse(fast, rates, "rad/s")
+        if abs(float(q[3:7].dot(q[3:7])) - 1.0) > _UNIT:
+            raise MessageRefused("limits", "the base's quaternion is not of unit length")
+        if abs(float(q[2]) - self._height) > _HEIGHTS * self._height:
+            raise MessageRefused("limits", f"the base is at {q[2]:.3g} m")
+        for part, fastest, unit in (
+            (v[:3], _FASTEST_BASE, "m/s"),
+            (v[3:6], _FASTEST_TURN, "rad/s"),
+        ):
+            if part.dot(part) > fastest**2:
+                raise MessageRefused("limits", f"the base moves by {np.abs(part).max():.3g} {unit}")
+
+    def _refuse(self, wrong: np.ndarray, values: np.ndarray, unit: str) -> None:
+        joint = int(np.argmax(wrong))
+        raise MessageRefused("limits", f"{self._names[joint]} at {values[joint]:.3g} {unit}")

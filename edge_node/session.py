@@ -1,0 +1,182 @@
+"""The robots at an edge: for each start of each robot its newest state, and what belongs to it.
+
+A robot's sequence and clock cannot run ahead of the edge's own clock. A state that claims so is
+refused: taken, it would make all honest states after it stale. If nothing but refused states comes
+for a while, the one taken was wrong, and the session begins anew. Sessions are served in turn, each
+with its newest state, so that a robot that sends too much takes nobody's time but its own.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from edge_node.posture import PostureEstimate
+from edge_node.refresh import FactorisationRefresh
+from shared.config.settings import RunConfig
+from shared.errors import MessageRefused
+from shared.wbc.contacts import ContactMode
+from shared.wbc.reference import Motion
+from shared.wire.messages import RobotState
+
+# More than one-way delays vary by; that of the first states is not known yet.
+_AHEAD_NS, _SETTLING_NS = 1_000_000_000, 100_000_000
+# A session that has had nothing but refused states for this long begins anew.
+_STUCK_NS = 100_000_000
+# Two sessions that both send within the first time, and are both older than the second, are two
+# robots; a robot that has started anew does not send in its old session.
+_SHARED_NS, _STARTING_NS = 200_000_000, 500_000_000
+_MAX_SESSIONS = 8
+# A robot sends again within this time; only then may it be forgotten for another.
+_YOUNG_NS = 20_000_000
+
+
+class RobotSession:
+    """One start of one robot.
+
+    `newest` is the state to answer next, None if it has been answered. `last_active` are the active
+    sets of the last solutions. `heard_ns` is the edge's time of the last state, and `n_states` their
+    number.
+    """
+
+    def __init__(self, config: RunConfig, motion: Motion, *, now_ns: int) -> None:
+        self.newest: RobotState | None = None
+        self.posture = PostureEstimate(config.correction.average_ns)
+        self.refresh = FactorisationRefresh(config.correction, motion)
+        self.last_active: dict[ContactMode, np.ndarray] = {}
+        self.began_ns = self.heard_ns = now_ns
+        self.n_states = 0
+        # The number of the turn in which it was served last.
+        self.served = -1
+        self._period_ns = config.loop.period_ns
+        self._last: RobotState | None = None
+        # How far the robot's clock and its ticks have been ahead of the edge's clock, at most.
+        self._clock_ns = self._ticks_ns = -(2**63)
+        self._refused_since_ns: int | None = None
+
+    def take(self, state: RobotState, *, now_ns: int) -> None:
+        """Take a state that has arrived. Raise `MessageRefused` if it is not newer, or ahead."""
+        clock_ns = state.stamp_ns - now_ns
+        ticks_ns = state.sequence * self._period_ns - now_ns
+        last = self._last
+        if last is not None:
+            reason = None
+            if state.sequence <= last.sequence or state.stamp_ns < last.stamp_ns:
+                reason = "stale"
+            elif now_ns - self.began_ns > _SETTLING_NS and (
+                clock_ns - self._clock_ns > _AHEAD_NS or ticks_ns - self._ticks_ns > _AHEAD_NS
+            ):
+                reason = "ahead"
+            if reason is not None:
+                if self._refused_since_ns is None:
+                    self._refused_since_ns = now_ns
+                raise MessageRefused(reason, f"{state.sequence} after {last.sequence}")
+        self._refused_since_ns = None
+        self._clock_ns = max(self._clock_ns, clock_ns)
+        self._ticks_ns = max(self._ticks_ns, ticks_ns)
+        self._last = self.newest = state
+        self.heard_ns = now_ns
+        self.n_states += 1
+
+    def is_stuck(self, now_ns: int) -> bool:
+        """Return whether only refused states have come for a while."""
+        since_ns = self._refused_since_ns
+        return since_ns is not None and now_ns - since_ns >= _STUCK_NS
+
+
+class Sessions:
+    """All sessions of an edge.
+
+    `shared` counts, by the robot's name, how often a second robot of this name began to send, and
+    `renewed` how often a session began anew.
+    """
+
+    def __init__(self, config: RunConfig, motion: Motion) -> None:
+        self.shared: Counter[str] = Counter()
+        self.renewed: Counter[str] = Counter()
+        self._config = config
+        self._motion = motion
+        self._sessions: dict[tuple[str, int], RobotSession] = {}
+        self._turn = 0
+        self._sharing: set[str] = set()
+
+    def take(self, robot: str, state: RobotState, *, now_ns: int) -> None:
+        """Take a state of a robot of that name. Raise `MessageRefused` if it is refused."""
+        key = (robot, state.session)
+        session = self._sessions.get(key)
+        if session is None:
+            self._make_room(robot, now_ns)
+            session = self._begin(key, now_ns)
+        try:
+            session.take(state, now_ns=now_ns)
+        except MessageRefused:
+            if not session.is_stuck(now_ns):
+                raise
+            self.renewed[robot] += 1
+            self._begin(key, now_ns).take(state, now_ns=now_ns)
+        if len(self._sessions) > 1:
+            self._note_sharing(robot, now_ns)
+
+    @property
+    def waiting(self) -> bool:
+        """Return whether a state waits for an answer."""
+        return any(session.newest is not None for session in self._sessions.values())
+
+    def next(self) -> tuple[str, RobotSession, RobotState] | None:
+        """Return the robot, the session and the state to answer now; None if none waits.
+
+        The session whose turn is longest ago comes first.
+        """
+        waiting = [item for item in self._sessions.items() if item[1].newest is not None]
+        if not waiting:
+            return None
+        (robot, _), session = min(waiting, key=lambda item: item[1].served)
+        self._turn += 1
+        session.served = self._turn
+        state, session.newest = session.newest, None
+        assert state is not None
+        return robot, session, state
+
+    def _begin(self, key: tuple[str, int], now_ns: int) -> RobotSession:
+        session = RobotSession(self._config, self._motion, now_ns=now_ns)
+        # It gets its turn after those that wait.
+        session.served = self._turn
+        self._sessions[key] = session
+        return session
+
+    def _make_room(self, robot: str, now_ns: int) -> None:
+        """Forget a session of a robot that has too many: a silent one, or the shortest.
+
+        Raise `MessageRefused` if all are new.
+        """
+        own = [(key, each) for key, each in self._sessions.items() if key[0] == robot]
+        if len(own) < _MAX_SESSIONS:
+            return
+        own = [item for item in own if now_ns - item[1].began_ns >= _YOUNG_NS]
+        if not own:
+            raise MessageRefused("crowded", f"{_MAX_SESSIONS} others of this name have just begun")
+
+        def worth(item: tuple[tuple[str, int], RobotSession]) -> tuple[bool, int, int]:
+            session = item[1]
+            return (
+                now_ns - session.heard_ns < _AHEAD_NS,
+                session.n_states,
+                session.heard_ns,
+            )
+
+        del self._sessions[min(own, key=worth)[0]]
+
+    def _note_sharing(self, robot: str, now_ns: int) -> None:
+        live = [
+            each
+            for (name, _), each in self._sessions.items()
+            if name == robot
+            and now_ns - each.heard_ns < _SHARED_NS
+            and each.heard_ns - each.began_ns > _STARTING_NS
+        ]
+        if len(live) < 2:
+            self._sharing.discard(robot)
+        elif robot not in self._sharing:
+            self._sharing.add(robot)
+            self.shared[robot] += 1
