@@ -9,6 +9,9 @@ _HINTS = {
     "config": "it runs with another task, [robot], [wbc] or [walk]; use one --config at both ends",
     "plan": "it derived another motion from the same settings; use one version of the software",
     "version": "it runs another version of the software",
+    "limits": "a joint, a speed or the base is where no robot can be; look at its sensors",
+    "ahead": "its ticks or its clock run ahead of this machine's; look at the state's source",
+    "crowded": "too many robots send under this name; give each another --name",
 }
 _OTHER = "see docs/wire.md; counted in the report at the end"
 
@@ -24,12 +27,21 @@ class ClientMonitor:
         self._last_heard_ns: int | None = None
         self._refused: dict[str, int] = {}
         self._reported: set[str] = set()
+        self._shared = self._renewed = 0
 
-    def look(self, now_ns: int, *, heard: bool, refused: Mapping[str, int]) -> list[str]:
+    def look(
+        self,
+        now_ns: int,
+        *,
+        heard: bool,
+        refused: Mapping[str, int],
+        shared: int = 0,
+        renewed: int = 0,
+    ) -> list[str]:
         """Return the lines to report.
 
         `heard`: whether messages have come since the last look; `refused`: refusals so far, by
-        reason.
+        reason; `shared` and `renewed`: counts of `Sessions`.
         """
         if not heard:
             if self._last_heard_ns is None or now_ns - self._last_heard_ns <= _SILENCE_NS:
@@ -44,4 +56,16 @@ class ClientMonitor:
                 self._reported.add(reason)
                 lines.append(f"refuses a robot's states ({reason}): {_HINTS.get(reason, _OTHER)}")
         self._refused.update(refused)
+        if shared > self._shared:
+            self._shared = shared
+            lines.append(
+                "two robots send states under this name; each gets its answers, and neither can "
+                "be told from the other; start one of them with another --name"
+            )
+        if renewed > self._renewed:
+            if self._renewed == 0:
+                lines.append(
+                    "a state from far ahead was followed by stale ones only; goes on with those"
+                )
+            self._renewed = renewed
         return lines

@@ -28,8 +28,8 @@ _STUCK_NS = 100_000_000
 # robots; a robot that has started anew does not send in its old session.
 _SHARED_NS, _STARTING_NS = 200_000_000, 500_000_000
 _MAX_SESSIONS = 8
-# A robot sends again within this time; only then may it be forgotten for another.
-_YOUNG_NS = 20_000_000
+# Only a session that has been silent for this long may be forgotten for another.
+_SILENT_NS = 20_000_000
 
 
 class RobotSession:
@@ -146,26 +146,17 @@ class Sessions:
         return session
 
     def _make_room(self, robot: str, now_ns: int) -> None:
-        """Forget a session of a robot that has too many: a silent one, or the shortest.
+        """Forget the shortest of the silent sessions of a robot that has too many.
 
-        Raise `MessageRefused` if all are new.
+        Raise `MessageRefused` if none is silent.
         """
         own = [(key, each) for key, each in self._sessions.items() if key[0] == robot]
         if len(own) < _MAX_SESSIONS:
             return
-        own = [item for item in own if now_ns - item[1].began_ns >= _YOUNG_NS]
-        if not own:
-            raise MessageRefused("crowded", f"{_MAX_SESSIONS} others of this name have just begun")
-
-        def worth(item: tuple[tuple[str, int], RobotSession]) -> tuple[bool, int, int]:
-            session = item[1]
-            return (
-                now_ns - session.heard_ns < _AHEAD_NS,
-                session.n_states,
-                session.heard_ns,
-            )
-
-        del self._sessions[min(own, key=worth)[0]]
+        silent = [item for item in own if now_ns - item[1].heard_ns >= _SILENT_NS]
+        if not silent:
+            raise MessageRefused("crowded", f"{_MAX_SESSIONS} others of this name send states")
+        del self._sessions[min(silent, key=lambda item: item[1].n_states)[0]]
 
     def _note_sharing(self, robot: str, now_ns: int) -> None:
         live = [

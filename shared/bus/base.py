@@ -70,8 +70,11 @@ def new_session() -> int:
 class ReceptionCounter:
     """Received and lost messages of one key, by the sequence numbers of each publisher.
 
-    A message that arrives out of order is not lost; a number that never arrives is.
+    A message that arrives out of order is not lost; a number that never arrives is. Of more than a
+    thousand publishers only the first ones have their losses counted.
     """
+
+    _MAX_PUBLISHERS = 1024
 
     def __init__(self) -> None:
         self.received = 0
@@ -83,6 +86,8 @@ class ReceptionCounter:
         if envelope is None:
             return
         sequence = envelope.sequence
+        if len(self._spans) >= self._MAX_PUBLISHERS and envelope.session not in self._spans:
+            return
         first, last, arrived = self._spans.get(envelope.session, (sequence, sequence, 0))
         self._spans[envelope.session] = (min(first, sequence), max(last, sequence), arrived + 1)
 
@@ -100,18 +105,18 @@ class Inbox:
     `put` runs on the bus's thread, the other methods on the node's. At the end of an outage
     hundreds of messages arrive at once: all are counted, and the node works on the newest. Messages
     without an envelope come from other programs. A bounded number of them is kept, so that the node
-    refuses and counts them.
+    refuses and counts them. Inboxes with one `arrived` can be waited for together.
     """
 
     _MAX_PUBLISHERS = 8
-    _MAX_STRANGERS = 64
+    _MAX_STRANGERS = 8
 
-    def __init__(self) -> None:
+    def __init__(self, arrived: threading.Event | None = None) -> None:
         self.counter = ReceptionCounter()
         self._newest: dict[int, Delivery] = {}
         self._strangers: deque[bytes] = deque(maxlen=self._MAX_STRANGERS)
         self._lock = threading.Lock()
-        self._arrived = threading.Event()
+        self._arrived = threading.Event() if arrived is None else arrived
 
     def put(self, delivery: Delivery) -> None:
         """Count a message and hold it."""
@@ -142,6 +147,11 @@ class Inbox:
             self._strangers.clear()
             self._newest.clear()
         return taken
+
+    @property
+    def holds(self) -> bool:
+        """Return whether a message can be taken."""
+        return bool(self._newest) or bool(self._strangers)
 
     def wait(self, timeout_ns: int) -> bool:
         """Wait for an arrival; return False if none came in time."""

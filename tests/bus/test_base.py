@@ -130,6 +130,7 @@ def test_many_publishers_do_not_grow_an_inbox():
         inbox.put(message(1, session=session))
     assert 1 <= len(inbox.take()) <= 8
     assert inbox.counter.received == 10_000
+    assert len(inbox.counter._spans) <= 1024
 
 
 def test_a_crowd_does_not_keep_the_newest_of_a_known_publisher_out():
