@@ -16,6 +16,7 @@ from deploy.services import Service, starting_order
 from shared.bus.endpoint import Endpoint, parse_endpoint
 from shared.bus.security import DEFAULT_FOLDER, Credentials, robot_role
 from shared.errors import ConfigError, one_of
+from shared.process.service import names_on_the_link
 
 EDGE, ROUTER, NETEM, ROBOT, VIEWER = "edge", "router", "netem", "robot", "viewer"
 _CHAIN = (EDGE, ROUTER, NETEM, ROBOT)
@@ -140,14 +141,23 @@ def make_plan(
 
 
 def check_credentials(plan: Plan, *, robot: str) -> None:
-    """Check that every service of the plan finds its certificate; raise `ConfigError` if not."""
-    own_role = robot_role(robot)
+    """Check that every service of the plan finds its certificate; raise `ConfigError` if not.
+
+    `robot` is its name on the link. For an edge without a robot or a shim it may be several names.
+    """
+    robots = names_on_the_link(robot)
+    if len(robots) > 1 and (plan.has(ROBOT) or plan.has(NETEM)):
+        raise ConfigError(
+            f"name: expected one name, because a robot or a shim runs here, got {robot!r}; several "
+            "are for --only edge"
+        )
+    own_role = robot_role(robots[0])
     if plan.secure is None:
         return
     for name in _CHAIN:
         if plan.has(name):
             role = own_role if name == ROBOT else name
-            Credentials.load(plan.secure, role, robots=None if name == ROUTER else (robot,))
+            Credentials.load(plan.secure, role, robots=None if name == ROUTER else robots)
 
 
 def _check_who_dials(options: Options, services: Collection[str]) -> None:

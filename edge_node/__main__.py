@@ -1,4 +1,7 @@
-"""The edge as a process: `python -m edge_node --listen tcp/…`. Serves robot after robot."""
+"""The edge as a process: `python -m edge_node --listen tcp/…`.
+
+It serves one robot after another, and with `--name amy,bob` several at once, each on its own keys.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ from remote_wbc import begin
 
 begin(__name__)
 
+import threading
 import time
 
 from edge_node.client_monitor import ClientMonitor
@@ -47,7 +51,8 @@ def main() -> int:
     config = config_from(arguments)
     robot = load_robot(config.robot.name)
     node = EdgeNode(robot, config, make_motion(robot, config))
-    me = identity_from(arguments, role=EDGE, kind=robot.name)
+    me = identity_from(arguments, role=EDGE, kind=robot.name, several=True)
+    served = me.robots
     wait_while_held(arguments)
     stop = StopSignal()
     scheduling = prepare(priority=_PRIORITY)
@@ -66,27 +71,39 @@ def main() -> int:
     log = ServiceLog(
         "edge", SOLVE_SCHEMA, out=arguments.out, telemetry=arguments.telemetry, key=SOLVES_KEY
     )
-    inbox = Inbox()
-    bus.subscribe(UPLINK.key_for(me.robot), inbox.put)
-    downlink = bus.publisher(DOWNLINK.key_for(me.robot))
+    arrived = threading.Event()
+    inboxes = {name: Inbox(arrived) for name in served}
+    for name, inbox in inboxes.items():
+        bus.subscribe(UPLINK.key_for(name), inbox.put)
+    downlinks = {name: bus.publisher(DOWNLINK.key_for(name)) for name in served}
     suspend_garbage_collection()
     where = arguments.connect or arguments.listen
-    print(f"READY {where} for {me.robot} ({scheduling}; {config.wbc.solver})", flush=True)
+    print(f"READY {where} for {', '.join(served)} ({scheduling}; {config.wbc.solver})", flush=True)
 
-    monitor, budget = ClientMonitor(), RealtimeBudget()
+    monitors, budget = {name: ClientMonitor() for name in served}, RealtimeBudget()
     while not stop.requested:
         budget.keep(time.monotonic_ns())
-        heard = inbox.wait(_POLL_NS)
-        for data in inbox.take():
-            node.receive(data)
+        # A message may come between two inboxes' `take`, and its event be lost.
+        if not (node.sessions.waiting or any(inbox.holds for inbox in inboxes.values())):
+            arrived.wait(_POLL_NS * 1e-9)
         started_ns = time.monotonic_ns()
-        for line in monitor.look(started_ns, heard=heard, refused=node.refused):
-            print(line, flush=True)
+        for name, inbox in inboxes.items():
+            messages = inbox.take()
+            for data in messages:
+                node.receive(data, started_ns, robot=name)
+            for line in monitors[name].look(
+                started_ns,
+                heard=bool(messages),
+                refused=node.refused_from[name],
+                shared=node.sessions.shared[name],
+                renewed=node.sessions.renewed[name],
+            ):
+                print(line if len(served) == 1 else f"{name}: {line}", flush=True)
         answer = node.step()
         if answer is None:
             continue
         if answer.data is not None:
-            downlink.publish(answer.data)
+            downlinks[answer.robot].publish(answer.data)
         solve_ns = time.monotonic_ns() - started_ns
         answer.record(log.row(), wall_ns=started_ns, solve_ns=solve_ns)
     bus.close()
@@ -94,14 +111,14 @@ def main() -> int:
         lambda rows: edge_report(
             rows,
             statuses=dict(node.solved),
-            sent=downlink.sent,
-            received=inbox.counter.received,
-            lost=inbox.counter.lost,
+            sent=sum(downlink.sent for downlink in downlinks.values()),
+            received=sum(inbox.counter.received for inbox in inboxes.values()),
+            lost=sum(inbox.counter.lost for inbox in inboxes.values()),
             refused=dict(node.refused),
         )
     )
     print(
-        f"stopped: {downlink.sent} projectors sent, solve p50 {report['edge_solve_ms']['p50']} ms, "
+        f"stopped: {report['link']['downlink']['sent']} projectors sent, solve p50 {report['edge_solve_ms']['p50']} ms, "
         f"refused {dict(node.refused) or 'none'}",
         flush=True,
     )

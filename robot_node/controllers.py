@@ -25,7 +25,6 @@ from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference
 from shared.wbc.stack import N_DYNAMICS, Stack
 from shared.wbc.torque import recover_force
-from shared.wbc.torque import recover_force
 from shared.wire.codec import Codec
 
 

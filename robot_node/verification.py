@@ -15,11 +15,10 @@ import numpy as np
 from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
 from shared.robots import Robot
+from shared.wbc.answer import Factorisation, Projector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.correction import Factorisation
 from shared.wbc.finite import all_finite
 from shared.wbc.model import WholeBodyModel
-from shared.wbc.projector import Projector
 from shared.wbc.reference import Reference
 from shared.wbc.stack import Stack
 from shared.wbc.verification import InverseTest

@@ -74,7 +74,9 @@ def wait_while_held(arguments: argparse.Namespace) -> None:
 def add_identity_arguments(parser: argparse._ActionsContainer) -> None:
     """Add the options for a robot's name and the certificates to a parser or a group."""
     parser.add_argument(
-        "--name", help="the robot's name on the link, to tell several robots of a kind apart"
+        "--name",
+        help="the robot's name on the link, to tell several robots of a kind apart; amy,bob for an "
+        "edge that serves both",
     )
     add_secure_argument(parser)
 
@@ -94,22 +96,43 @@ def add_secure_argument(parser: argparse._ActionsContainer) -> None:
 
 @dataclass(frozen=True)
 class Identity:
-    """The robot's name on the link, and this process's credentials (None: nothing is secured)."""
+    """The names on the link of the robots that this process deals with, and its credentials.
 
-    robot: str
+    Without credentials nothing is secured.
+    """
+
+    robots: tuple[str, ...]
     credentials: Credentials | None
 
+    @property
+    def robot(self) -> str:
+        """The name of the first robot, for a process that deals with one."""
+        return self.robots[0]
 
-def identity_from(arguments: argparse.Namespace, *, role: str | None, kind: str) -> Identity:
+
+def names_on_the_link(text: str) -> tuple[str, ...]:
+    """Return the names in `amy,bob`; raise `ConfigError` if one cannot be part of a key."""
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
+    for name in names:
+        robot_role(name)
+    return names
+
+
+def identity_from(
+    arguments: argparse.Namespace, *, role: str | None, kind: str, several: bool = False
+) -> Identity:
     """Return the identity of a service; `role` None is the robot itself.
 
-    The robot's name is that of its `kind`, unless --name gives another.
+    The robot's name is that of its `kind`, unless --name gives another; with `several`, it may give
+    more than one.
     """
-    robot: str = arguments.name or kind
-    robots_role = robot_role(robot)
+    name: str = arguments.name or kind
+    robots = names_on_the_link(name) if several else (name,)
+    robots_role = robot_role(robots[0])
     if arguments.secure is None:
-        return Identity(robot, None)
-    return Identity(robot, Credentials.load(arguments.secure, role or robots_role, robots=(robot,)))
+        return Identity(robots, None)
+    credentials = Credentials.load(arguments.secure, role or robots_role, robots=robots)
+    return Identity(robots, credentials)
 
 
 class ServiceLog:

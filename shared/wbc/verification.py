@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.wbc.correction import Factorisation
+from shared.wbc.answer import Factorisation
 from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
 
 # Vectors per test: an error twice the tolerance passes one of them with probability 0.4.
