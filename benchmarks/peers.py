@@ -318,7 +318,7 @@ def _tick_batch(robot: Robot, config: RunConfig, states: States) -> Batch:
         started = time.thread_time_ns()
         state = node.measure(now_ns)
         duration = time.thread_time_ns() - started
-        edge.receive(state)
+        edge.receive(state, now_ns)
         answer = edge.step()
         _OTHER_WORK.fill(1)
         started = time.thread_time_ns()
@@ -336,17 +336,18 @@ def _edge_batches(robot: Robot, config: RunConfig, states: States) -> dict[str, 
     edge, solver = (EdgeNode(robot, config, motion) for _ in range(2))
     robot_node, codec = _PosedRobot(robot, config, states), Codec(robot, config, motion)
 
-    def next_message() -> bytes:
-        message = robot_node.measure(0)
+    def next_message() -> tuple[bytes, int]:
+        now_ns = robot_node.tick * config.loop.period_ns
+        message = robot_node.measure(now_ns)
         robot_node.running = True
-        robot_node.advance(robot_node.command(0))
-        return message
+        robot_node.advance(robot_node.command(now_ns))
+        return message, now_ns
 
     def step() -> int:
-        message = next_message()
+        message, now_ns = next_message()
         _OTHER_WORK.fill(1)
         started = time.thread_time_ns()
-        edge.receive(message)
+        edge.receive(message, now_ns)
         edge.step()
         return time.thread_time_ns() - started
 

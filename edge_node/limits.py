@@ -1,4 +1,8 @@
-"""The states that a robot can be in. Others are faults of a sensor or of a message."""
+"""The states that a robot can be in. Others are faults of a sensor or of a message.
+
+A fall may leave these limits, but not at a jump: `Sessions` lets a state pass to which the states
+before it lead.
+"""
 
 from __future__ import annotations
 

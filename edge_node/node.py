@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_node.limits import StateLimits
 from edge_node.session import RobotSession, Sessions
 from shared.bus.base import RefusalCounter
 from shared.config.settings import RunConfig
@@ -62,7 +61,7 @@ class EdgeNode:
     def __init__(self, robot: Robot, config: RunConfig, motion: Motion) -> None:
         self.refused = RefusalCounter()
         self.refused_from: defaultdict[str, RefusalCounter] = defaultdict(RefusalCounter)
-        self.sessions = Sessions(config, motion)
+        self.sessions = Sessions(robot, config, motion)
         self.solved: Counter[str] = Counter()
         self._controller = WholeBodyController(robot, config.wbc, motion)
         self._codec = Codec(robot, config, motion)
@@ -70,7 +69,6 @@ class EdgeNode:
         self._config = config
         signs = np.random.default_rng([config.seed, 11]).choice([-1.0, 1.0], robot.model.nv - 6)
         self._posture_error = config.correction.posture_error * signs
-        self._limits = StateLimits(robot)
 
     def receive(self, data: bytes, now_ns: int, *, robot: str = "") -> None:
         """Take a message in that has arrived on the key of `robot`.
@@ -79,7 +77,6 @@ class EdgeNode:
         """
         try:
             state = self._codec.decode_state(data)
-            self._limits.check(state.q, state.v)
             self.sessions.take(robot, state, now_ns=now_ns)
         except MessageRefused as refusal:
             self.refused[refusal.reason] += 1

@@ -2,7 +2,8 @@
 
 A robot's sequence and clock cannot run ahead of the edge's own clock. A state that claims so is
 refused: taken, it would make all honest states after it stale. If nothing but refused states comes
-for a while, the one taken was wrong, and the session begins anew. Sessions are served in turn, each
+for a while, the one taken was wrong, and the session begins anew. A state in which no robot can be
+is refused, unless the states before it lead there, as in a fall. Sessions are served in turn, each
 with its newest state, so that a robot that sends too much takes nobody's time but its own.
 """
 
@@ -12,11 +13,14 @@ from collections import Counter
 
 import numpy as np
 
+from edge_node.limits import StateLimits
 from edge_node.posture import PostureEstimate
 from edge_node.refresh import FactorisationRefresh
 from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
+from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
+from shared.wbc.continuity import continues
 from shared.wbc.reference import Motion
 from shared.wire.messages import RobotState
 
@@ -28,6 +32,8 @@ _STUCK_NS = 100_000_000
 # robots; a robot that has started anew does not send in its old session.
 _SHARED_NS, _STARTING_NS = 200_000_000, 500_000_000
 _MAX_SESSIONS = 8
+# From one state to the next, of those that leave the limits: time [ns], and jump of a joint [rad].
+_CONTINUES_NS, _JUMP = 5_000_000, 0.5
 # Only a session that has been silent for this long may be forgotten for another.
 _SILENT_NS = 20_000_000
 
@@ -79,6 +85,14 @@ class RobotSession:
         self.heard_ns = now_ns
         self.n_states += 1
 
+    def leads_to(self, state: RobotState) -> bool:
+        """Return whether a state follows from the last one."""
+        last = self._last
+        if last is None or not 0 < state.stamp_ns - last.stamp_ns <= _CONTINUES_NS:
+            return False
+        seconds = (state.stamp_ns - last.stamp_ns) * 1e-9
+        return bool(continues(last.q, state.q, state.v, seconds=seconds, jump=_JUMP).all())
+
     def is_stuck(self, now_ns: int) -> bool:
         """Return whether only refused states have come for a while."""
         since_ns = self._refused_since_ns
@@ -92,7 +106,8 @@ class Sessions:
     `renewed` how often a session began anew.
     """
 
-    def __init__(self, config: RunConfig, motion: Motion) -> None:
+    def __init__(self, robot: Robot, config: RunConfig, motion: Motion) -> None:
+        self._limits = StateLimits(robot)
         self.shared: Counter[str] = Counter()
         self.renewed: Counter[str] = Counter()
         self._config = config
@@ -105,6 +120,11 @@ class Sessions:
         """Take a state of a robot of that name. Raise `MessageRefused` if it is refused."""
         key = (robot, state.session)
         session = self._sessions.get(key)
+        try:
+            self._limits.check(state.q, state.v)
+        except MessageRefused:
+            if session is None or not session.leads_to(state):
+                raise
         if session is None:
             self._make_room(robot, now_ns)
             session = self._begin(key, now_ns)

@@ -27,7 +27,7 @@ from shared.wire.codec import Codec
 from shared.wire.messages import FactorisationMessage, ProjectorMessage
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class CacheEntry:
     """A projector, and the state it was computed from: its tick and the robot's clock then.
 
@@ -54,20 +54,25 @@ class AnswerCache(ABC):
     for.
 
     `newest_stamp_ns` is the time of measurement of the state that was answered last; −1 before the
-    first.
+    first. With `tested_on_arrival`, what is taken is right, and an older answer of the same tick is
+    stale.
     """
+
+    tested_on_arrival = True
 
     def __init__(self, codec: Codec, *, session: int) -> None:
         self.refused = RefusalCounter()
         self.newest_stamp_ns = -1
         self._codec = codec
         self._session = session
-        self._newest_sequence = -1
+        self._newest_sequence = self._settled_sequence = self._tick = -1
         self._sent: SentStates
 
     def offer(self, data: bytes, *, sent: SentStates) -> bool:
         """Take a received message if it is valid. Return whether it was taken."""
         self._sent = sent
+        if self._tick != sent.newest:
+            self._tick, self._settled_sequence = sent.newest, self._newest_sequence
         try:
             message = self._decode(data)
             self._check_echo(message.sequence, message.stamp_ns)
@@ -75,8 +80,11 @@ class AnswerCache(ABC):
         except MessageRefused as refusal:
             self.refused[refusal.reason] += 1
             return False
-        self._newest_sequence = message.sequence
-        self.newest_stamp_ns = message.stamp_ns
+        if message.sequence > self._newest_sequence:
+            self._newest_sequence = message.sequence
+            self.newest_stamp_ns = message.stamp_ns
+        if self.tested_on_arrival:
+            self._settled_sequence = self._newest_sequence
         return True
 
     @property
@@ -88,7 +96,7 @@ class AnswerCache(ABC):
         """Raise `MessageRefused` if an answer is not wanted."""
         if session != self._session:
             raise MessageRefused("session", "answers another start of the robot")
-        if sequence <= self._newest_sequence:
+        if sequence <= self._settled_sequence:
             raise MessageRefused("stale", f"{sequence}")
         if sequence > self._sent.newest:
             raise MessageRefused("future", f"{sequence}")
@@ -109,13 +117,22 @@ class AnswerCache(ABC):
 
 
 class ProjectorCache(AnswerCache):
-    """Newest projector per contact mode, and the newest full solution of any mode."""
+    """Newest projector per contact mode, and the newest full solution of any mode.
+
+    A projector is tested at its first use. Until then those that it replaces stay behind it, and so
+    do older ones that come in the same tick.
+    """
+
+    tested_on_arrival = False
+
+    # More than answers can come in a tick.
+    _MAX_ENTRIES = 12
 
     def __init__(self, codec: Codec, *, session: int) -> None:
         super().__init__(codec, session=session)
         self.newest_solution: CacheEntry | None = None
-        self._entries: dict[ContactMode, CacheEntry] = {}
-        self._proven: dict[ContactMode, CacheEntry] = {}
+        # The newest first, none behind a proven one.
+        self._entries: dict[ContactMode, list[CacheEntry]] = {mode: [] for mode in ContactMode}
 
     def _decode(self, data: bytes) -> ProjectorMessage:
         return self._codec.decode_projector(data, self._judge)
@@ -125,52 +142,52 @@ class ProjectorCache(AnswerCache):
             if timed.projector.mode is message.mode:
                 solution = (message.tau, message.y)
                 entry = CacheEntry(timed, message.sequence, message.stamp_ns, False, *solution)
-                self.newest_solution = entry
+                if self.newest_solution is None or message.sequence > self.newest_solution.sequence:
+                    self.newest_solution = entry
             else:
                 entry = CacheEntry(timed, message.sequence, message.stamp_ns)
             self.keep(entry)
 
     def keep(self, entry: CacheEntry) -> None:
-        """Keep an entry unless the cache has one from a newer state: the faster answer wins."""
-        mode = entry.projector.mode
-        held = self._entries.get(mode)
-        if held is not None:
-            # Of two projectors from the same state the edge's wins.
-            same_state = entry.sequence == held.sequence
-            if entry.sequence < held.sequence or (same_state and entry.on_board):
-                return
+        """Keep an entry unless a proven one is from a newer state: the faster answer wins."""
+        entries = self._entries[entry.projector.mode]
+        for place, held in enumerate(entries):
             if held.proven:
-                self._proven[mode] = held
-        self._entries[mode] = entry
+                del entries[place + 1 :]
+                break
+        place = 0
+        for held in entries:
+            # Of two projectors from the same state the edge's wins, and the first of two edges'.
+            same_state = entry.sequence == held.sequence
+            if entry.sequence > held.sequence or (same_state and held.on_board > entry.on_board):
+                break
+            if held.proven:
+                return
+            place += 1
+        entries.insert(place, entry)
+        if len(entries) > self._MAX_ENTRIES:
+            # The last one may be proven.
+            del entries[-2]
 
     def state_of(self, entry: CacheEntry) -> tuple[np.ndarray, np.ndarray] | None:
         """Return (q, v) of the state that an entry was computed from; None if it is forgotten."""
         return self._sent.state(entry.sequence)
 
     def reject(self, entry: CacheEntry) -> None:
-        """Count an entry as refused, and go back to the last proven one of its contact mode.
-
-        Answers to older states are then welcome again.
-        """
+        """Count an entry as refused and forget it. Answers to older states are then welcome."""
         self.refused["dynamics"] += 1
-        mode = entry.projector.mode
-        before = self._proven.get(mode)
-        if before is None:
-            del self._entries[mode]
-            self._newest_sequence = -1
-        else:
-            self._entries[mode] = before
-            self._newest_sequence = before.sequence
-            self.newest_stamp_ns = before.stamp_ns
+        self._entries[entry.projector.mode].remove(entry)
+        left = [each for entries in self._entries.values() for each in entries if not each.on_board]
+        newest = max(left, key=lambda each: each.sequence, default=None)
+        self._newest_sequence = -1 if newest is None else newest.sequence
+        self.newest_stamp_ns = -1 if newest is None else newest.stamp_ns
 
     def lookup(self, mode: ContactMode, *, time_ns: int) -> CacheEntry | None:
         """Return the newest projector of a mode that may be used at a task time, or None."""
-        entry = self._entries.get(mode)
-        if entry is None:
-            return None
-        if not entry.timed.valid_from_ns <= time_ns < entry.timed.valid_until_ns:
-            return None
-        return entry
+        for entry in self._entries[mode]:
+            if entry.timed.valid_from_ns <= time_ns < entry.timed.valid_until_ns:
+                return entry
+        return None
 
 
 @dataclass(frozen=True, slots=True)

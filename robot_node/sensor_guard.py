@@ -8,13 +8,13 @@ worth no more; the robot's ladder then decides.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 
 import numpy as np
 
 from shared.config.settings import SensorConfig
 from shared.robots import Robot
+from shared.wbc.continuity import continues
 
 HELD_OVER_TICKS = 50
 # Least difference from the expected position that is a fault [rad, m], and on top of it in standard
@@ -49,7 +49,7 @@ class SensorGuard:
             of_joints -= self._period * v[6:]
             # All sensors at once, first. A number that is none fails too.
             if not (jump.dot(jump) <= self._jump**2 and of_base.dot(of_base) <= _FAST**2):
-                q, v = self._replaced(q, v, jump, last)
+                q, v = self._replaced(q, v, last)
             elif self._faulty:
                 self._faulty = False
                 self._ticks.fill(0)
@@ -57,16 +57,13 @@ class SensorGuard:
         return q, v
 
     def _replaced(
-        self, q: np.ndarray, v: np.ndarray, jump: np.ndarray, last: np.ndarray
+        self, q: np.ndarray, v: np.ndarray, last: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        # Written so that a number that is none is no explanation. After one that was passed on, any
-        # number is welcome.
-        explained = np.empty(len(self._names), dtype=bool)
-        explained[0] = self._base_moves(jump, v) or not np.isfinite(last[:7]).all()
-        explained[1:] = (np.abs(jump[7:]) <= self._jump) | ~np.isfinite(last[7:])
-        number = np.isfinite(q[7:]) & np.isfinite(v[6:])
-        explained[1:] &= number
-        explained[0] &= np.isfinite(q[:7]).all() and np.isfinite(v[:6]).all()
+        explained = continues(last, q, v, seconds=self._period, jump=self._jump)
+        # After a number that is none, which was passed on, any number is welcome.
+        known, number = np.isfinite(last), np.isfinite(q)
+        explained[0] |= bool(number[:7].all() and np.isfinite(v[:6]).all() and not known[:7].all())
+        explained[1:] |= ~known[7:] & number[7:] & np.isfinite(v[6:])
         self._faulty = True
         self._ticks[explained] = 0
         self._ticks[~explained] += 1
@@ -80,13 +77,3 @@ class SensorGuard:
                 v[joint] = self._v[joint]
                 q[joint + 1] = last[joint + 1] + self._period * v[joint]
         return q, v
-
-    def _base_moves(self, jump: np.ndarray, v: np.ndarray) -> bool:
-        """Return whether the base has moved and turned by as much as its velocity says."""
-        moved, turned = (math.sqrt(part.dot(part)) for part in (jump[:3], jump[3:7]))
-        speed, rate = (self._period * math.sqrt(part.dot(part)) for part in (v[:3], v[3:6]))
-        if not math.isfinite(speed + rate):
-            return False
-        # The chord between the quaternions before and after a turn by an angle.
-        chord = 2.0 * abs(math.sin(0.25 * rate))
-        return abs(moved - speed) <= _JUMP and abs(turned - chord) <= _JUMP

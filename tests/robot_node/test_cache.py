@@ -91,7 +91,7 @@ def test_the_newest_answer_is_held(cache, answer):
 def test_an_answer_that_is_not_newer_is_stale(cache, answer, late):
     cache.offer(answer(7), sent=sent_states())
     before = cache.lookup(DOUBLE, time_ns=0)
-    assert not cache.offer(answer(late), sent=sent_states())
+    assert not cache.offer(answer(late), sent=sent_states(11))
     assert cache.refused == {"stale": 1}
     assert cache.lookup(DOUBLE, time_ns=0) is before
 
@@ -113,7 +113,7 @@ def test_the_numbers_of_a_stale_answer_are_not_looked_at(cache, codec, stacks, r
     damaged = data.replace(good.tau.tobytes(), np.full_like(good.tau, np.nan).tobytes())
     assert not cache.offer(damaged, sent=sent_states())
     assert cache.offer(data, sent=sent_states())
-    assert not cache.offer(damaged, sent=sent_states())
+    assert not cache.offer(damaged, sent=sent_states(11))
     assert cache.refused == {"not_finite": 1, "stale": 1}
 
 

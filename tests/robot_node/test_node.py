@@ -199,11 +199,18 @@ def test_garbage_alone_never_starts_the_robot(bench):
     assert {command.source for command in played.commands} == {Source.HELD}
 
 
-def test_a_repeated_answer_is_stale_and_changes_nothing(bench):
+def test_a_repeated_answer_changes_nothing_and_is_stale_from_the_next_tick_on(bench):
     clean = bench().run(10)
-    repeated = bench().run(10, deliver=lambda answer: [answer, answer])
+    past = []
+
+    def repeat(answer):
+        messages = [*past[-1:], answer, answer]
+        past.append(answer)
+        return messages
+
+    repeated = bench().run(10, deliver=repeat)
     np.testing.assert_array_equal(repeated.column("tau"), clean.column("tau"))
-    assert repeated.robot.cache.refused == {"stale": 10}
+    assert repeated.robot.cache.refused == {"stale": 9}
 
 
 @pytest.mark.parametrize("controller", ["la", "pr"])
@@ -343,7 +350,7 @@ def test_an_edge_of_other_settings_is_named_in_the_counters(bench, robot, motion
     other = EdgeNode(robot, configured(push=[], **{"wbc.friction": 0.4}), motion)
     state = dataclasses.replace(make_state(robot), session=SESSION, sequence=0)
     other.receive(
-        Codec(robot, configured(push=[], **{"wbc.friction": 0.4}), motion).encode_state(state)
+        Codec(robot, configured(push=[], **{"wbc.friction": 0.4}), motion).encode_state(state), 0
     )
     answer = other.step().data
     played.run(1, deliver=lambda _: [answer])

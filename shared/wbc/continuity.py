@@ -1,0 +1,34 @@
+"""Tells a motion from a jump: from one state to the next, positions move as velocities say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+# Of the base, on whose measurement there is no noise [m, and part of a quaternion].
+_BASE_JUMP = 0.05
+
+
+def continues(
+    before: np.ndarray, q: np.ndarray, v: np.ndarray, *, seconds: float, jump: float
+) -> np.ndarray:
+    """Return what of q (nq,) follows from the configuration `before` with v (nv,) after `seconds`.
+
+    Truth values (1 + n_joints,), of the base and of every joint, which may differ by `jump` [rad]
+    from where v takes it. A number that is none follows from nothing.
+    """
+    moved = q - before
+    follows = np.empty(len(q) - 6, dtype=bool)
+    with np.errstate(invalid="ignore", over="ignore"):
+        follows[1:] = np.abs(moved[7:] - seconds * v[6:]) <= jump
+    position, quaternion = (_norm(part) for part in (moved[:3], moved[3:7]))
+    speed, rate = (seconds * _norm(part) for part in (v[:3], v[3:6]))
+    # The chord between the quaternions before and after a turn by an angle.
+    chord = 2.0 * abs(math.sin(0.25 * rate)) if math.isfinite(rate) else math.nan
+    follows[0] = abs(position - speed) <= _BASE_JUMP and abs(quaternion - chord) <= _BASE_JUMP
+    return follows
+
+
+def _norm(part: np.ndarray) -> float:
+    return math.sqrt(part.dot(part))
