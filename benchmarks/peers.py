@@ -352,7 +352,7 @@ def _edge_batches(robot: Robot, config: RunConfig, states: States) -> dict[str, 
         return time.thread_time_ns() - started
 
     def solve() -> int:
-        state = codec.decode_state(next_message())
+        state = codec.decode_state(next_message()[0])
         _OTHER_WORK.fill(1)
         started = time.thread_time_ns()
         solver.solve(state)

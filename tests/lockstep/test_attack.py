@@ -1,0 +1,112 @@
+"""An edge that lies to LC while the robot is pushed: silence is the worst that it can do."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from experiments.lockstep import Lockstep
+from shared.config.config_file import load_config
+from shared.wire.codec import Codec
+
+SETTINGS = {
+    "controller": "lc",
+    "duration": 2.2,
+    "push": ["100N@0.5s:0.2s:+y"],
+    "link.network": "constant:20ms",
+    # Many answers: a chance to lie each time that the robot has moved at all.
+    "correction.refresh_distance": 0.0,
+}
+# Joints of the legs, by sides: hip yaw, roll, pitch, knee, ankle pitch, roll.
+PITCH = [2, 3, 4, 8, 9, 10]
+KNEES = [3, 9]
+
+
+def attacked(lie, **changes):
+    """A trial in which each answer but the first has passed through `lie(message, number)`."""
+    lockstep = Lockstep(load_config(None, {"seed": 0, **SETTINGS, **changes}))
+    robot, config = lockstep.robot._model.robot, lockstep.config
+    codec = Codec(robot, config, lockstep.robot._motion)
+    honest, sent = lockstep.edge.step, [0]
+
+    def step():
+        answer = honest()
+        if answer is None or answer.data is None:
+            return answer
+        sent[0] += 1
+        if sent[0] == 1:
+            return answer
+        message = lie(codec.decode_factorisations(answer.data), sent[0])
+        return dataclasses.replace(answer, data=codec.encode_factorisations(message))
+
+    lockstep.edge.step = step
+    return lockstep.run()
+
+
+def test_a_robot_that_hears_nothing_but_lies_stands_its_push():
+    def lie(message, number):
+        factor = (-1.0, 1e6, 0.0, 1.5, -1e-3)[number % 5]
+        name = "PQTA"[number % 4]
+        return dataclasses.replace(
+            message,
+            factorisations=tuple(
+                dataclasses.replace(each, **{name: factor * getattr(each, name)})
+                for each in message.factorisations
+            ),
+        )
+
+    result = attacked(lie)
+    assert not result.summary["fell"]
+    refused = result.summary["link"]["downlink"]["refused"]
+    assert refused.keys() == {"not_inverse"}
+    assert refused["not_inverse"] > 50
+    # Nothing but the first factorisation was ever used.
+    sequences = result.schema.column(result.rows, "projector_sequence")
+    assert set(np.unique(sequences[sequences >= 0])) == {0}
+
+
+@pytest.mark.parametrize(("joints", "sign"), [(PITCH, 1.0), (PITCH, -1.0), (KNEES, 1.0)])
+def test_true_blocks_of_the_worst_posture_that_is_near_enough_do_not_make_it_fall(joints, sign):
+    """What a lie can still choose: a posture within the bound. A third of the bound more is refused.
+
+    Pitch joints leave the largest contraction of the directions tried, 0.33.
+    """
+    lockstep = Lockstep(load_config(None, {"seed": 0, **SETTINGS}))
+    wrong = np.zeros(31)
+    wrong[joints] = sign
+    # Root mean square: near the bound of 0.09 rad, which the edge's noise and look-ahead share.
+    wrong *= 0.08 * np.sqrt(31 / np.square(wrong).sum())
+    lockstep.edge._posture_error = wrong
+    result = lockstep.run()
+    assert not result.summary["fell"]
+    assert result.summary["link"]["downlink"]["sent"] > 50
+    contraction = result.schema.column(result.rows, "contraction")
+    assert np.nanmax(contraction) < 0.5
+
+    further = Lockstep(load_config(None, {"seed": 0, **SETTINGS, "loop.connect_timeout": 0.1}))
+    further.edge._posture_error = 1.5 * wrong
+    with pytest.raises(Exception, match="posture"):
+        further.run()
+
+
+@pytest.mark.parametrize("glitch", [50.0, 0.6, -0.45])
+def test_a_glitch_in_one_state_on_its_way_does_not_make_lc_fall(glitch):
+    """A joint of one state is wrong as the edge sees it: the answer that follows is of no harm."""
+    lockstep = Lockstep(load_config(None, {"seed": 0, **SETTINGS}))
+    codec = lockstep._codec
+    honest = lockstep.edge.receive
+
+    def receive(data, now_ns):
+        state = codec.decode_state(data)
+        if state.sequence in (300, 700, 701):
+            q = state.q.copy()
+            q[9] += glitch
+            data = codec.encode_state(dataclasses.replace(state, q=q))
+        honest(data, now_ns)
+
+    lockstep.edge.receive = receive
+    result = lockstep.run()
+    assert not result.summary["fell"]
+    assert result.summary["link"]["uplink"]["refused"] == ({"limits": 3} if glitch == 50.0 else {})

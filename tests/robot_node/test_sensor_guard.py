@@ -1,0 +1,157 @@
+"""A robot whose sensors fail for a moment, or for good."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from robot_node.sensor_guard import HELD_OVER_TICKS, SensorGuard
+from shared.config.settings import SensorConfig
+from tests.robot_node.bench import Bench
+
+MS = 1_000_000
+KNEE = 9  # of q: the left knee
+NAN = float("nan")
+
+
+@pytest.fixture
+def guard(robot):
+    return SensorGuard(robot, SensorConfig(joint_position_noise=0.0), period_ns=MS)
+
+
+def moving(robot, ticks, *, rate=2.0):
+    """A robot whose joints and base all move."""
+    q, v = robot.q_standing.copy(), np.zeros(robot.model.nv)
+    v[6:], v[0] = rate, 1.0
+    for _ in range(ticks):
+        q = q.copy()
+        q[7:] += 1e-3 * rate
+        q[0] += 1e-3
+        yield q, v
+
+
+def test_a_motion_passes_unchanged(guard, robot):
+    for q, v in moving(robot, 100, rate=20.0):
+        checked = guard.check(q, v)
+        assert checked[0] is q
+        assert checked[1] is v
+    assert not guard.faults
+
+
+@pytest.mark.parametrize("value", [50.0, -50.0, 0.5, NAN, float("inf")])
+def test_one_wrong_sample_of_a_joint_is_held_over_and_counted(guard, robot, value):
+    for tick, (q, v) in enumerate(moving(robot, 60)):
+        measured = q.copy()
+        if tick == 30:
+            measured[KNEE] += value
+        checked, _ = guard.check(measured, v)
+        np.testing.assert_allclose(checked, q, atol=1e-12)
+    assert guard.faults == {robot.model.names[KNEE - 5]: 1}
+
+
+def test_a_wrong_speed_is_a_fault_of_its_joint(guard, robot):
+    for tick, (q, v) in enumerate(moving(robot, 60)):
+        measured = v.copy()
+        if tick == 30:
+            measured[KNEE - 1] = 1e5
+        checked = guard.check(q, measured)
+        np.testing.assert_allclose(checked[1], v)
+        np.testing.assert_allclose(checked[0], q, atol=1e-12)
+    assert guard.faults.total() == 1
+
+
+@pytest.mark.parametrize("place", [0, 2, 4, 6])
+@pytest.mark.parametrize("value", [10.0, NAN])
+def test_one_wrong_sample_of_the_base_is_held_over(guard, robot, place, value):
+    for tick, (q, v) in enumerate(moving(robot, 60)):
+        measured = q.copy()
+        if tick == 30:
+            measured[place] += value
+        checked, _ = guard.check(measured, v)
+        # The base is held where it was, a millimetre behind.
+        np.testing.assert_allclose(checked, q, atol=2e-3)
+    assert guard.faults == {"base": 1}
+
+
+@pytest.mark.parametrize("value", [0.7, NAN])
+def test_a_lasting_fault_is_passed_on_after_a_bounded_time(guard, robot, value):
+    passed = []
+    for tick, (q, v) in enumerate(moving(robot, 200)):
+        measured = q.copy()
+        if 30 <= tick < 150:
+            measured[KNEE] += value
+        checked, _ = guard.check(measured, v)
+        passed.append(not np.isclose(checked[KNEE], q[KNEE], atol=1e-9))
+    assert not any(passed[: 30 + HELD_OVER_TICKS])
+    assert all(passed[30 + HELD_OVER_TICKS : 150])
+    # A sensor that comes back is believed at once, or after it has been compared as long.
+    assert not any(passed[150 + HELD_OVER_TICKS :])
+
+
+def test_a_fault_that_comes_back_is_held_over_again(guard, robot):
+    for tick, (q, v) in enumerate(moving(robot, 400)):
+        measured = q.copy()
+        if tick % 10 == 5:
+            measured[KNEE] += 3.0
+        checked, _ = guard.check(measured, v)
+        np.testing.assert_allclose(checked, q, atol=1e-9)
+    assert guard.faults.total() == 40
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2, 3e-2, 0.1])
+def test_noise_is_no_fault(robot, rng, noise):
+    guard = SensorGuard(robot, SensorConfig(joint_position_noise=noise), period_ns=MS)
+    for q, v in moving(robot, 3000):
+        measured = q.copy()
+        measured[7:] += noise * rng.standard_normal(len(q) - 7)
+        guard.check(measured, v)
+    assert not guard.faults
+
+
+class Faulty:
+    """Sensors that give a wrong sample now and then."""
+
+    def __init__(self, sensors, faults):
+        self._sensors, self._faults, self._tick = sensors, faults, 0
+
+    def restart(self):
+        self._sensors.restart()
+
+    def measure(self, q, v):
+        q, v = self._sensors.measure(q, v)
+        self._tick += 1
+        for place, value in self._faults.get(self._tick, ()):
+            q[place] += value
+        return q, v
+
+
+@pytest.mark.parametrize("controller", ["la", "lc", "pr"])
+def test_a_glitch_of_an_encoder_hardly_moves_a_robot(robot, motion_of, controller):
+    glitches = {
+        100: [(KNEE, 50.0)],
+        120: [(KNEE, NAN), (12, -7.0)],
+        140: [(k, 50.0) for k in range(7, 38)],
+        160: [(0, 5.0)],
+    }
+    played = []
+    for faults in ({}, glitches):
+        bench = motion_of(controller)
+        bench.robot._sensors = Faulty(bench.robot._sensors, faults)
+        played.append(bench.run(400))
+    clean, faulty = played
+    assert faulty.robot.sensor_guard.faults.total() == 1 + 2 + 31 + 1
+    assert not faulty.robot.fallen
+    # Each held-over sample lacks the noise of the true one, which is all that differs.
+    difference = np.abs(faulty.column("q") - clean.column("q")).max()
+    assert difference < 0.02
+    assert not faulty.edge.refused
+
+
+@pytest.fixture
+def motion_of(robot, motion, configured):
+    def build(controller):
+        return Bench(robot, motion, configured(push=[], controller=controller))
+
+    return build
