@@ -42,6 +42,7 @@ from experiments.lockstep import Lockstep
 from robot_node.node import RobotNode
 from robot_node.plant import Plant
 from robot_node.sensors import Sensors
+from shared.bus.base import Delivery
 from shared.config.config_file import load_config
 from shared.config.settings import RunConfig, SensorConfig
 from shared.errors import LinkError, UserError
@@ -323,7 +324,7 @@ def _tick_batch(robot: Robot, config: RunConfig, states: States) -> Batch:
         _OTHER_WORK.fill(1)
         started = time.thread_time_ns()
         if answer is not None and answer.data is not None:
-            node.receive(answer.data)
+            node.receive(Delivery(answer.data, None))
         node.advance(node.command(now_ns), log.row())
         return duration + time.thread_time_ns() - started
 

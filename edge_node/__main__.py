@@ -14,7 +14,7 @@ import time
 
 from edge_node.client_monitor import ClientMonitor
 from edge_node.node import EdgeNode
-from shared.bus.base import Inbox
+from shared.bus.base import Inbox, sender_name
 from shared.bus.security import EDGE
 from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
@@ -78,7 +78,8 @@ def main() -> int:
     downlinks = {name: bus.publisher(DOWNLINK.key_for(name)) for name in served}
     suspend_garbage_collection()
     where = arguments.connect or arguments.listen
-    print(f"READY {where} for {', '.join(served)} ({scheduling}; {config.wbc.solver})", flush=True)
+    names = ", ".join(f"{name} as {sender_name(downlinks[name].session)}" for name in served)
+    print(f"READY {where} for {names} ({scheduling}; {config.wbc.solver})", flush=True)
 
     monitors, budget = {name: ClientMonitor() for name in served}, RealtimeBudget()
     while not stop.requested:
@@ -89,8 +90,8 @@ def main() -> int:
         started_ns = time.monotonic_ns()
         for name, inbox in inboxes.items():
             messages = inbox.take()
-            for data in messages:
-                node.receive(data, started_ns, robot=name)
+            for delivery in messages:
+                node.receive(delivery.data, started_ns, robot=name)
             for line in monitors[name].look(
                 started_ns,
                 heard=bool(messages),

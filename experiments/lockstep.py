@@ -162,8 +162,8 @@ class Lockstep:
             self._edge_starts()
 
     def _edge_starts(self) -> None:
-        for data in self._edge_inbox.take():
-            self.edge.receive(data, self.clock.now_ns())
+        for delivery in self._edge_inbox.take():
+            self.edge.receive(delivery.data, self.clock.now_ns())
         started = time.perf_counter_ns()
         answer = self.edge.step()
         if answer is None:
@@ -208,6 +208,7 @@ class Lockstep:
             received=self._robot_inbox.counter.received,
             lost=self._robot_inbox.counter.lost,
             refused=dict(self.robot.cache.refused),
+            answers=self.robot.answers.by_sender,
             sensor_faults=dict(self.robot.sensor_guard.faults),
         )
         edge = edge_report(

@@ -112,6 +112,7 @@ def main() -> int:
             received=inbox.counter.received,
             lost=inbox.counter.lost,
             refused=dict(node.cache.refused),
+            answers=node.answers.by_sender,
             sensor_faults=dict(node.sensor_guard.faults),
         )
 

@@ -76,6 +76,12 @@ class LiveLoop:
         return dict(self._node.cache.refused)
 
     @property
+    def answering(self) -> list[str]:
+        """The edges of which an answer was taken."""
+        by_sender = self._node.answers.by_sender
+        return [name for name, counts in by_sender.items() if counts["taken"]]
+
+    @property
     def sensor_faults(self) -> dict[str, int]:
         """Samples held over so far, by the sensor."""
         return dict(self._node.sensor_guard.faults)
@@ -171,6 +177,7 @@ class Narrator:
         running, stale_since, holding, stopping = False, 0.0, False, False
         reported = {_OVERTAKEN}
         faulty: set[str] = set()
+        answering = 1
         while not self._done.wait(self._PERIOD_SECONDS):
             progress = self._loop.progress
             if not progress.running:
@@ -194,6 +201,9 @@ class Narrator:
             if progress.source is Source.STOPPING and not stopping:
                 stopping = True
                 self._say(f"{at}: corrections are doubtful: ending the walk")
+            if len(edges := self._loop.answering) > answering:
+                answering = len(edges)
+                self._say(f"{at}: answers come from {answering} edges: {', '.join(edges)}")
             for sensor in self._loop.sensor_faults.keys() - faulty:
                 faulty.add(sensor)
                 self._say(

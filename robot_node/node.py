@@ -21,7 +21,7 @@ from robot_node.sensor_guard import SensorGuard
 from robot_node.sensors import Sensors
 from robot_node.sent_states import SentStates
 from robot_node.tick_row import Moment, TickRow
-from shared.bus.base import new_session
+from shared.bus.base import Delivery, SenderCounter, new_session
 from shared.config.settings import RunConfig
 from shared.robots import Foot, Robot
 from shared.telemetry.schema import Schema, Source, tick_schema
@@ -64,6 +64,7 @@ class RobotNode:
         stacks = make_stacks(robot, config.wbc)
         self.tick_row = TickRow(self.schema, self._model, stacks)
         self._session = new_session() if session is None else session
+        self.answers = SenderCounter()
         self._sent = SentStates(robot.model.nv - 6)
         self._codec = Codec(robot, config, motion)
 
@@ -121,9 +122,11 @@ class RobotNode:
             )
         )
 
-    def receive(self, data: bytes) -> bool:
+    def receive(self, delivery: Delivery) -> bool:
         """Offer a message from the edge to the cache. Return whether it was taken."""
-        return self.cache.offer(data, sent=self._sent)
+        taken = self.cache.offer(delivery.data, sent=self._sent)
+        self.answers.count(delivery.envelope, taken=taken)
+        return taken
 
     def command(self, now_ns: int) -> Command:
         """Second phase: the torque of this tick, Eq. (7)."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from robot_node.controllers import Command
 from robot_node.node import RobotNode
+from shared.bus.base import Delivery
 
 
 class Tick:
@@ -35,7 +36,7 @@ class Tick:
     def end(
         self,
         now_ns: int,
-        arrived: Iterable[bytes],
+        arrived: Iterable[Delivery],
         *,
         late_ns: int = 0,
         overruns: int = 0,
@@ -48,7 +49,7 @@ class Tick:
         """
         node = self._node
         began_ns = time.perf_counter_ns()
-        taken = [node.receive(data) for data in arrived]
+        taken = [node.receive(delivery) for delivery in arrived]
         command = node.command(now_ns)
         self._cost_ns += time.perf_counter_ns() - began_ns
         row = None

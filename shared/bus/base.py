@@ -99,6 +99,42 @@ class ReceptionCounter:
         )
 
 
+class SenderCounter:
+    """Taken and refused messages by their publisher; of more than sixty, the first have a name."""
+
+    _MAX_SENDERS = 60
+
+    def __init__(self) -> None:
+        self._counts: dict[int, list[int]] = {}
+        self._others = [0, 0]
+
+    def count(self, envelope: Envelope | None, *, taken: bool) -> None:
+        """Count a message."""
+        counts = self._others
+        if envelope is not None:
+            found = self._counts.get(envelope.session)
+            if found is not None:
+                counts = found
+            elif len(self._counts) < self._MAX_SENDERS:
+                counts = self._counts[envelope.session] = [0, 0]
+        counts[not taken] += 1
+
+    @property
+    def by_sender(self) -> dict[str, dict[str, int]]:
+        """`taken` and `refused` by the sender's name; `others` are those without one."""
+        named = {sender_name(session): counts for session, counts in self._counts.items()}
+        if any(self._others):
+            named["others"] = self._others
+        return {
+            name: {"taken": taken, "refused": refused} for name, (taken, refused) in named.items()
+        }
+
+
+def sender_name(session: int) -> str:
+    """Return the name of a publisher in reports: its session in hexadecimal digits."""
+    return f"{session:08x}"
+
+
 class Inbox:
     """Holds the newest message of each publisher since the last `take`.
 
@@ -114,7 +150,7 @@ class Inbox:
     def __init__(self, arrived: threading.Event | None = None) -> None:
         self.counter = ReceptionCounter()
         self._newest: dict[int, Delivery] = {}
-        self._strangers: deque[bytes] = deque(maxlen=self._MAX_STRANGERS)
+        self._strangers: deque[Delivery] = deque(maxlen=self._MAX_STRANGERS)
         self._lock = threading.Lock()
         self._arrived = threading.Event() if arrived is None else arrived
 
@@ -124,7 +160,7 @@ class Inbox:
         with self._lock:
             self.counter.count(envelope)
             if envelope is None:
-                self._strangers.append(delivery.data)
+                self._strangers.append(delivery)
             else:
                 held = self._newest.get(envelope.session)
                 if held is None and len(self._newest) >= self._MAX_PUBLISHERS:
@@ -137,13 +173,13 @@ class Inbox:
                     self._newest[envelope.session] = delivery
         self._arrived.set()
 
-    def take(self) -> list[bytes]:
+    def take(self) -> list[Delivery]:
         """Return the messages held since the last call."""
         self._arrived.clear()
         if not self._newest and not self._strangers:
             return []
         with self._lock:
-            taken = [*self._strangers, *(delivery.data for delivery in self._newest.values())]
+            taken = [*self._strangers, *self._newest.values()]
             self._strangers.clear()
             self._newest.clear()
         return taken

@@ -175,11 +175,11 @@ class ZenohPublisher:
             express=True,
         )
         self._clock = clock
-        self._session = new_session()
+        self.session = new_session()
         self.sent = 0
 
     def publish(self, data: bytes) -> None:
-        envelope = Envelope(self._session, self.sent, time.monotonic_ns(), self._clock)
+        envelope = Envelope(self.session, self.sent, time.monotonic_ns(), self._clock)
         self.forward(Delivery(data, envelope))
 
     def forward(self, delivery: Delivery) -> None:

@@ -37,6 +37,7 @@ def robot_report(
     received: int,
     lost: int,
     refused: dict[str, int],
+    answers: dict[str, dict[str, int]],
     sensor_faults: dict[str, int],
 ) -> dict[str, Any]:
     """Return the robot's part, from its tick rows; rows before the task began are left out.
@@ -75,7 +76,12 @@ def robot_report(
         "log_hash": log_hash(schema, rows),
         "link": {
             "uplink": {"sent": sent},
-            "downlink": {"received": received, "lost": lost, "refused": refused},
+            "downlink": {
+                "received": received,
+                "lost": lost,
+                "refused": refused,
+                "answers": answers,
+            },
         },
     }
 
@@ -233,6 +239,16 @@ def summary_in_words(summary: dict[str, Any]) -> str:
             f"{refused} refused{_rate(way['bytes_per_second'])}; delay error p50 "
             f"{_number(error['p50'], 'ms')}, p99 {_number(error['p99'], 'ms')}"
         )
+    answers = summary["link"]["downlink"].get("answers") or {}
+    if len(answers) > 1:
+        by_edge = ", ".join(
+            f"{counts['taken']} of {edge} ({counts['refused']} refused)"
+            for edge, counts in answers.items()
+        )
+        lines.append(f"  answers from {len(answers)} edges: {by_edge}")
+    if faults := summary.get("sensor_faults"):
+        held = ", ".join(f"{sensor} {count} ×" for sensor, count in faults.items())
+        lines.append(f"  sensor faults held over: {held}")
     lines += [
         f"  robot tick p50 {_number(tick['p50'], 'ms')}, p99 {_number(tick['p99'], 'ms')}; "
         f"edge solve p50 {_number(solve['p50'], 'ms')}, p99 {_number(solve['p99'], 'ms')}",

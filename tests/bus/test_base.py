@@ -13,6 +13,7 @@ from shared.bus.base import (
     Inbox,
     ReceptionCounter,
     RefusalCounter,
+    SenderCounter,
     new_session,
 )
 
@@ -100,19 +101,23 @@ def test_losses_are_the_numbers_missing_between_the_first_and_the_last(sent, kep
     assert count(*numbered(*shuffled)).lost == expected
 
 
+def taken(inbox):
+    return [delivery.data for delivery in inbox.take()]
+
+
 def test_an_inbox_keeps_the_newest_of_a_burst():
     inbox = Inbox()
     for sequence in (3, 9, 5):
         inbox.put(message(sequence))
-    assert inbox.take() == [b"1/9"]
+    assert taken(inbox) == [b"1/9"]
     assert inbox.counter.received == 3
 
 
 def test_an_inbox_gives_a_message_once():
     inbox = Inbox()
     inbox.put(message(1))
-    assert inbox.take() == [b"1/1"]
-    assert inbox.take() == []
+    assert taken(inbox) == [b"1/1"]
+    assert not inbox.take()
 
 
 def test_an_inbox_keeps_the_newest_of_each_publisher():
@@ -121,7 +126,7 @@ def test_an_inbox_keeps_the_newest_of_each_publisher():
         inbox.put(message(sequence, session=1))
     for sequence in (0, 1):
         inbox.put(message(sequence, session=2))
-    assert sorted(inbox.take()) == [b"1/901", b"2/1"]
+    assert sorted(taken(inbox)) == [b"1/901", b"2/1"]
 
 
 def test_many_publishers_do_not_grow_an_inbox():
@@ -139,7 +144,7 @@ def test_a_crowd_does_not_keep_the_newest_of_a_known_publisher_out():
     for session in range(100, 200):
         inbox.put(message(1, session=session))
     inbox.put(message(2, session=7))
-    assert b"7/2" in inbox.take()
+    assert b"7/2" in taken(inbox)
 
 
 def test_strangers_are_passed_on_to_be_refused_but_bounded():
@@ -147,10 +152,10 @@ def test_strangers_are_passed_on_to_be_refused_but_bounded():
     inbox.put(message(1))
     for k in range(1000):
         inbox.put(Delivery(b"stranger %d" % k, None))
-    taken = inbox.take()
-    assert b"1/1" in taken
-    assert b"stranger 999" in taken
-    assert len(taken) <= 65
+    messages = taken(inbox)
+    assert b"1/1" in messages
+    assert b"stranger 999" in messages
+    assert len(messages) <= 65
     assert inbox.counter.received == 1001
 
 
@@ -161,7 +166,7 @@ def test_waiting_ends_with_an_arrival_from_another_thread():
     # Far above the delay: only a lost wake-up takes that long.
     assert inbox.wait(timeout_ns=60_000_000_000)
     thread.join()
-    assert inbox.take() == [b"1/1"]
+    assert taken(inbox) == [b"1/1"]
 
 
 def test_waiting_ends_without_an_arrival_after_its_time():
@@ -182,3 +187,16 @@ def test_refusals_add_up_over_their_reasons():
     refused["layout"] += 2
     refused["stale"] += 1
     assert refused.total_refused == 3
+
+
+def test_answers_are_counted_by_their_sender_and_a_crowd_of_senders_is_bounded():
+    counter = SenderCounter()
+    for session in range(1000):
+        counter.count(Envelope(session, 0, 0, 0), taken=session % 2 == 0)
+    counter.count(None, taken=False)
+    counter.count(Envelope(0, 1, 0, 0), taken=True)
+    by_sender = counter.by_sender
+    assert by_sender["00000000"] == {"taken": 2, "refused": 0}
+    assert by_sender["00000001"] == {"taken": 0, "refused": 1}
+    assert by_sender["others"] == {"taken": 470, "refused": 471}
+    assert len(by_sender) == 61

@@ -7,6 +7,7 @@ import numpy as np
 from edge_node.node import EdgeNode
 from robot_node.node import RobotNode
 from robot_node.tick import Tick
+from shared.bus.base import Delivery
 from shared.wire.codec import Codec
 
 MS = 1_000_000
@@ -36,7 +37,7 @@ class Bench:
         answer = self.edge.step()
         arrived = []
         if answer is not None and answer.data is not None:
-            arrived = deliver(answer.data)
+            arrived = [Delivery(data, None) for data in deliver(answer.data)]
         command, _ = self._tick.end(self.now_ns + DEADLINE_NS, arrived)
         self.now_ns += MS
         self.commands.append(command)
