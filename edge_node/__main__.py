@@ -119,8 +119,8 @@ def main() -> int:
         )
     )
     print(
-        f"stopped: {report['link']['downlink']['sent']} projectors sent, solve p50 {report['edge_solve_ms']['p50']} ms, "
-        f"refused {dict(node.refused) or 'none'}",
+        f"stopped: {report['link']['downlink']['sent']} projectors sent, "
+        f"solve p50 {report['edge_solve_ms']['p50']} ms, refused {dict(node.refused) or 'none'}",
         flush=True,
     )
     return EXIT_STANDING

@@ -11,7 +11,7 @@ import numpy as np
 from shared.errors import MessageRefused
 from shared.robots import Robot
 
-# Beyond the range of the URDF [rad]. A falling robot without joint stops is up to 1.4 rad beyond it.
+# Beyond the range of the URDF [rad]. A falling robot without joint stops is up to 1.4 rad beyond.
 _MARGIN = 0.5 * np.pi
 # Speeds [rad/s, m/s]. A falling robot has less than a tenth.
 _FASTEST_JOINT, _FASTEST_TURN, _FASTEST_BASE = 100.0, 50.0, 20.0
@@ -31,7 +31,7 @@ class StateLimits:
         self._height = float(robot.q_standing[2])
 
     def check(self, q: np.ndarray, v: np.ndarray) -> None:
-        """Raise `MessageRefused` if no robot of this kind can be at q (nq,) with velocity v (nv,)."""
+        """Raise `MessageRefused` if no robot of this kind can be at q (nq,) and move by v (nv,)."""
         joints, rates = q[7:], v[6:]
         outside = (joints < self._lowest) | (joints > self._highest)
         if outside.any():

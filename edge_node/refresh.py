@@ -91,7 +91,7 @@ class FactorisationRefresh:
         """Time before the next try [ns]: doubled with every try up to a limit, at least 1.2 round
         trips.
         """
-        backoff = 2 ** min(sent.tries - 1, _MAX_DOUBLINGS)
+        backoff: float = 2 ** min(sent.tries - 1, _MAX_DOUBLINGS)
         return max(self._config.retry_ns * backoff, 1.2 * self._round_trip_ns)
 
     def _next_mode(self, state: RobotState) -> ContactMode:

@@ -4,7 +4,7 @@ A robot's sequence and clock cannot run ahead of the edge's own clock. A state t
 refused: taken, it would make all honest states after it stale. If nothing but refused states comes
 for a while, the one taken was wrong, and the session begins anew. A state in which no robot can be
 is refused, unless the states before it lead there, as in a fall. Sessions are served in turn, each
-with its newest state, so that a robot that sends too much takes nobody's time but its own.
+with its newest state, so that a robot that sends too much takes no time from the others.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class RobotSession:
     """One start of one robot.
 
     `newest` is the state to answer next, None if it has been answered. `last_active` are the active
-    sets of the last solutions. `heard_ns` is the edge's time of the last state, and `n_states` their
-    number.
+    sets of the last solutions. `heard_ns` is the edge's time of the last state, and `n_states` is
+    their number.
     """
 
     def __init__(self, config: RunConfig, motion: Motion, *, now_ns: int) -> None:

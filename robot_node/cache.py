@@ -1,9 +1,9 @@
 """The newest answers of the edge, and why the others were refused.
 
-An answer is taken if it passes the codec, echoes a state of this start of the robot with the time at
-which the robot sent it, and was computed from a newer state than the one held. Each contact mode
-keeps its own projector or factorisation: one of another mode is never applied. A factorisation must
-also be the robot's own, and a projector must obey the robot's dynamics at its first use:
+An answer is taken if it passes the codec, echoes a state of this start of the robot and its time,
+and was computed from a newer state than the one held. Each contact mode keeps its own projector or
+factorisation: one of another mode is never applied. A factorisation must be that of the robot's own
+model, and a projector must obey the robot's dynamics at its first use:
 `robot_node/verification.py`.
 """
 
@@ -54,8 +54,8 @@ class AnswerCache(ABC):
     for.
 
     `newest_stamp_ns` is the time of measurement of the state that was answered last; −1 before the
-    first. With `tested_on_arrival`, what is taken is right, and an older answer of the same tick is
-    stale.
+    first. With `tested_on_arrival`, an answer is right once it is taken, and an older answer of the
+    same tick is stale.
     """
 
     tested_on_arrival = True
@@ -119,8 +119,8 @@ class AnswerCache(ABC):
 class ProjectorCache(AnswerCache):
     """Newest projector per contact mode, and the newest full solution of any mode.
 
-    A projector is tested at its first use. Until then those that it replaces stay behind it, and so
-    do older ones that come in the same tick.
+    A projector is tested at its first use. Until then the projectors that it replaces stay behind
+    it, and so do older answers of the same tick.
     """
 
     tested_on_arrival = False

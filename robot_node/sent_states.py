@@ -45,4 +45,5 @@ class SentStates:
 
     def posture(self, sequence: int) -> np.ndarray:
         """Return the joint positions (nv − 6,) [rad] of a state that is remembered."""
-        return self._postures[sequence % _REMEMBERED]
+        posture: np.ndarray = self._postures[sequence % _REMEMBERED]
+        return posture

@@ -28,9 +28,17 @@ def edge_life(run: Path, *, solve_ms: float, sent: int, refused: dict[str, int])
 def robot_life(run: Path) -> None:
     rows = np.zeros((10, TICKS.width))
     write_parquet(TICKS, rows, run / "telemetry.parquet")
-    counts = {"sent": 10, "received": 8, "lost": 0, "refused": {}}
     report = robot_report(
-        TICKS, rows, fell=False, wall_seconds=1.0, answers={}, sensor_faults={}, **counts
+        TICKS,
+        rows,
+        fell=False,
+        wall_seconds=1.0,
+        sent=10,
+        received=8,
+        lost=0,
+        refused={},
+        answers={},
+        sensor_faults={},
     )
     (run / "telemetry.json").write_text(json.dumps(report))
 

@@ -340,7 +340,7 @@ def test_sessions_are_served_in_turn_however_often_one_of_them_sends(edge, state
         edge.receive(state(tick, session=1), tick * MS)
         for k in range(20):
             edge.receive(state(20 * tick + k, session=2), tick * MS)
-        _, session, newest = edge.sessions.next()
+        _, _, newest = edge.sessions.next()
         served.append(newest.session)
     assert served.count(1) == served.count(2) == 30
 

@@ -24,7 +24,7 @@ PITCH = [2, 3, 4, 8, 9, 10]
 KNEES = [3, 9]
 
 
-def attacked(lie, **changes):
+def attacked(monkeypatch, lie, **changes):
     """A trial in which each answer but the first has passed through `lie(message, number)`."""
     lockstep = Lockstep(load_config(None, {"seed": 0, **SETTINGS, **changes}))
     robot, config = lockstep.robot._model.robot, lockstep.config
@@ -41,11 +41,11 @@ def attacked(lie, **changes):
         message = lie(codec.decode_factorisations(answer.data), sent[0])
         return dataclasses.replace(answer, data=codec.encode_factorisations(message))
 
-    lockstep.edge.step = step
+    monkeypatch.setattr(lockstep.edge, "step", step)
     return lockstep.run()
 
 
-def test_a_robot_that_hears_nothing_but_lies_stands_its_push():
+def test_a_robot_that_hears_nothing_but_lies_stands_its_push(monkeypatch):
     def lie(message, number):
         factor = (-1.0, 1e6, 0.0, 1.5, -1e-3)[number % 5]
         name = "PQTA"[number % 4]
@@ -57,7 +57,7 @@ def test_a_robot_that_hears_nothing_but_lies_stands_its_push():
             ),
         )
 
-    result = attacked(lie)
+    result = attacked(monkeypatch, lie)
     assert not result.summary["fell"]
     refused = result.summary["link"]["downlink"]["refused"]
     assert refused.keys() == {"not_inverse"}
@@ -69,7 +69,7 @@ def test_a_robot_that_hears_nothing_but_lies_stands_its_push():
 
 @pytest.mark.parametrize(("joints", "sign"), [(PITCH, 1.0), (PITCH, -1.0), (KNEES, 1.0)])
 def test_true_blocks_of_the_worst_posture_that_is_near_enough_do_not_make_it_fall(joints, sign):
-    """What a lie can still choose: a posture within the bound. A third of the bound more is refused.
+    """What a lie can still choose: a posture within the bound. Half as far again is refused.
 
     Pitch joints leave the largest contraction of the directions tried, 0.33.
     """
@@ -92,7 +92,7 @@ def test_true_blocks_of_the_worst_posture_that_is_near_enough_do_not_make_it_fal
 
 
 @pytest.mark.parametrize("glitch", [50.0, 0.6, -0.45])
-def test_a_glitch_in_one_state_on_its_way_does_not_make_lc_fall(glitch):
+def test_a_glitch_in_one_state_on_its_way_does_not_make_lc_fall(monkeypatch, glitch):
     """A joint of one state is wrong as the edge sees it: the answer that follows is of no harm."""
     lockstep = Lockstep(load_config(None, {"seed": 0, **SETTINGS}))
     codec = lockstep._codec
@@ -106,7 +106,7 @@ def test_a_glitch_in_one_state_on_its_way_does_not_make_lc_fall(glitch):
             data = codec.encode_state(dataclasses.replace(state, q=q))
         honest(data, now_ns)
 
-    lockstep.edge.receive = receive
+    monkeypatch.setattr(lockstep.edge, "receive", receive)
     result = lockstep.run()
     assert not result.summary["fell"]
     assert result.summary["link"]["uplink"]["refused"] == ({"limits": 3} if glitch == 50.0 else {})

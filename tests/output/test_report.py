@@ -45,14 +45,17 @@ def ticks(count, *, waiting=0):
 
 def robot_part(rows, **changes):
     counts = {"fell": False, "wall_seconds": 2.0, "sent": 10, "received": 8, "lost": 1}
-    nothing = {"refused": {}, "answers": {}, "sensor_faults": {}}
-    return robot_report(SCHEMA, rows, **{**counts, **nothing, **changes})
+    for name in ("refused", "answers", "sensor_faults"):
+        counts[name] = {}
+    return robot_report(SCHEMA, rows, **{**counts, **changes})
 
 
 def test_a_summary_says_who_answered_and_which_sensors_failed():
     answers = {"0a": {"taken": 7, "refused": 0}, "0b": {"taken": 2, "refused": 3}}
     part = robot_part(ticks(10), answers=answers, sensor_faults={"LKnee": 4})
-    text = summary_in_words(summary(RunConfig(), robot=part, edge=None, link=None, discrepancy=None))
+    text = summary_in_words(
+        summary(RunConfig(), robot=part, edge=None, link=None, discrepancy=None)
+    )
     assert "answers from 2 edges: 7 of 0a (0 refused), 2 of 0b (3 refused)" in text
     assert "sensor faults held over: LKnee 4 ×" in text
 

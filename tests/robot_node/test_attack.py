@@ -47,7 +47,9 @@ def attacked(bench, lie):
     def deliver(answer):
         with np.errstate(over="ignore"):
             return [
-                bench.codec.encode_factorisations(lie(bench.codec.decode_factorisations(answer), rng))
+                bench.codec.encode_factorisations(
+                    lie(bench.codec.decode_factorisations(answer), rng)
+                )
             ]
 
     return bench.run(HONEST).run(ATTACKED, deliver=deliver)
@@ -353,7 +355,10 @@ def test_an_honest_projector_is_exact_at_its_own_state(
     verifier = ProjectorVerifier(WholeBodyModel(robot), stacks, motion.reference(0))
     for mode in ContactMode:
         edge.receive(codec.encode_state(make_state(robot, session=mode, q=q, v=v, mode=mode)), 0)
-        (timed,) = codec.decode_projector(edge.step().data).projectors
+        answer = edge.step()
+        assert answer is not None
+        assert answer.data is not None
+        (timed,) = codec.decode_projector(answer.data).projectors
         assert verifier.is_exact(timed.projector, q, v)
         wrong = dataclasses.replace(timed.projector, A_dagger=1.05 * timed.projector.A_dagger)
         assert not verifier.is_exact(wrong, q, v)

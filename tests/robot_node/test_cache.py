@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from robot_node.cache import CacheEntry, FactorisationCache, ProjectorCache
+from robot_node.verification import FactorisationVerifier
 from shared.wbc.answer import TimedProjector
 from shared.wbc.contacts import ContactMode
 from shared.wire.codec import Codec
@@ -22,8 +23,11 @@ SESSION = 5
 DOUBLE, LEFT, RIGHT = ContactMode
 
 
-class Anything:
+class Anything(FactorisationVerifier):
     """A verifier for tests whose factorisations are random numbers."""
+
+    def __init__(self):
+        pass
 
     def check(self, factorisation, *, measured):
         pass
@@ -58,9 +62,7 @@ def held(cache, mode=DOUBLE):
 
 @pytest.fixture
 def factorisations(codec, stacks):
-    return FactorisationCache(
-        codec, stacks, session=SESSION, level="b", verifier=Anything()
-    )
+    return FactorisationCache(codec, stacks, session=SESSION, level="b", verifier=Anything())
 
 
 @pytest.fixture
@@ -211,7 +213,9 @@ def test_each_mode_keeps_its_newest_factorisation_and_the_cache_says_which(
 ):
     assert factorisations.offer(correction(0, *ContactMode), sent=sent_states())
     assert factorisations.held_sequences == (0, 0, 0)
-    assert factorisations.offer(correction(4, LEFT, stamp_ns=44), sent=sent_states(stamps_ns={4: 44}))
+    assert factorisations.offer(
+        correction(4, LEFT, stamp_ns=44), sent=sent_states(stamps_ns={4: 44})
+    )
     assert factorisations.held_sequences == (0, 4, 0)
     assert factorisations.offer(correction(7, RIGHT, DOUBLE), sent=sent_states())
     assert factorisations.held_sequences == (7, 4, 7)
@@ -253,9 +257,13 @@ def test_either_cache_refuses_what_is_for_the_other(cache, factorisations, answe
 
 
 def test_a_sign_of_life_leaves_what_is_held_and_is_the_newest_answer(factorisations, correction):
-    factorisations.offer(correction(3, *ContactMode, stamp_ns=33), sent=sent_states(stamps_ns={3: 33}))
+    factorisations.offer(
+        correction(3, *ContactMode, stamp_ns=33), sent=sent_states(stamps_ns={3: 33})
+    )
     sign = make_correction([], np.random.default_rng(0), session=SESSION, sequence=7, stamp_ns=77)
-    assert factorisations.offer(factorisations._codec.encode_factorisations(sign), sent=sent_states(stamps_ns={7: 77}))
+    assert factorisations.offer(
+        factorisations._codec.encode_factorisations(sign), sent=sent_states(stamps_ns={7: 77})
+    )
     assert factorisations.held_sequences == (3, 3, 3)
     assert factorisations.newest_stamp_ns == 77
 

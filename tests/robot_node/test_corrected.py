@@ -393,7 +393,9 @@ def garbage(answer):
 
     def elsewhere(fields):
         entry = fields["factorisations"][0]
-        entry["posture"] = (np.frombuffer(entry["posture"], dtype="<f4") + np.float32(0.2)).tobytes()
+        entry["posture"] = (
+            np.frombuffer(entry["posture"], dtype="<f4") + np.float32(0.2)
+        ).tobytes()
 
     return {
         "undecodable": answer[:-7],

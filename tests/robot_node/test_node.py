@@ -201,7 +201,7 @@ def test_garbage_alone_never_starts_the_robot(bench):
 
 def test_a_repeated_answer_changes_nothing_and_is_stale_from_the_next_tick_on(bench):
     clean = bench().run(10)
-    past = []
+    past: list[bytes] = []
 
     def repeat(answer):
         messages = [*past[-1:], answer, answer]
