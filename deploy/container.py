@@ -55,7 +55,6 @@ async def _serve(service: Service, arguments: list[str], ready_file: Path) -> in
             Path(folder),
             lambda name, line: print(line, flush=True),
             changed=lambda: None,
-            before_restart=lambda _: None,
         )
         alone = dataclasses.replace(service, restart="no", end=FAILURE)
         command = tuple(python("-m", *service.command, *arguments))

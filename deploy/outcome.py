@@ -1,61 +1,106 @@
 """The summary and the recording of a run, made from the files of its services.
 
-A service that was started again has left files of each of its lives. Earlier lives are numbered,
-and all lives count together. A life that was killed leaves no report.
+A service that was started again has left files of each of its lives, as `shared.telemetry.lives`
+describes them, and all lives count together. A life that was killed leaves rows and no report: its
+part is then made from the rows.
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
+from shared.commands import wbc
 from shared.config.settings import RunConfig
-from shared.output.report import discrepancy_report, edge_report, link_report, summary
+from shared.file_lock import is_locked
+from shared.output.report import discrepancy_report, edge_report, link_report, robot_report, summary
 from shared.process.entry import python
+from shared.telemetry.lives import KINDS, lives, recover
 from shared.telemetry.parquet import read_parquet
+from shared.telemetry.row_log import read_rows
+from shared.telemetry.schema import Schema
+from shared.wbc.qp import QpStatus
 
 SUMMARY = "summary.json"
-_ROBOT, _EDGE, _LINK = "telemetry", "edge", "link"
+STEMS = _ROBOT, _EDGE, _LINK = ("telemetry", "edge", "link")
 # Only these columns are read: all columns of an hour do not fit into memory.
 _COMPARED = ("tick", "time_ns", "active_set", "com_error_m", "contact_violation_m_s2")
 
 
-def keep_report(run: Path, stem: str) -> None:
-    """Number the files of a service's life, so that its next life does not replace them."""
-    if not stem or not (run / f"{stem}.json").exists():
-        return
-    number = 1 + len(list(run.glob(f"{stem}.*.json")))
-    for kind in ("json", "parquet"):
-        (run / f"{stem}.{kind}").replace(run / f"{stem}.{number}.{kind}")
-
-
-def summarise(run: Path, config: RunConfig) -> dict[str, Any] | None:
+def summarise(
+    run: Path,
+    config: RunConfig,
+    say: Callable[[str], None],
+    *,
+    services: dict[str, Any] | None = None,
+) -> dict[str, Any] | None:
     """Return the summary, and write it to `summary.json` in place of the services' reports.
 
-    Return None if the robot left no report.
+    `services` is the supervisor's part. Rows of killed lives become Parquet. `say` gets a line for
+    a file that cannot be written. Return None if the robot left neither a report nor rows.
     """
-    robot = _report(run / f"{_ROBOT}.json")
+    result = _summary(run, config, services or {})
+    if result is not None:
+        text = json.dumps(result, indent=2)
+        try:
+            (run / SUMMARY).write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            say(f"cannot write {run / SUMMARY}: {error.strerror}; free space on the disk")
+        else:
+            for stem in STEMS:
+                for name in lives(run, stem):
+                    (run / f"{name}.json").unlink(missing_ok=True)
+    for stem in STEMS:
+        try:
+            recover(run, stem)
+        except OSError as error:
+            say(
+                f"cannot write all rows as Parquet into {run}: {error.strerror or error}; the rows "
+                f"are in the files *.rows; free space, and {wbc(f'viewer open {run}')} tries again"
+            )
+            break
+    return result
+
+
+def _summary(run: Path, config: RunConfig, services: dict[str, Any]) -> dict[str, Any] | None:
+    robot = _whole(run, _ROBOT, _edge_report, _robot_from_rows)
     if robot is None:
         return None
     result = summary(
         config,
         robot=robot,
-        edge=_whole(run, _EDGE, _edge_report),
-        link=_whole(run, _LINK, _link_report),
+        edge=_whole(run, _EDGE, _edge_report, _edge_from_rows),
+        link=_whole(run, _LINK, _link_report, partial(_link_from_rows, config.link.network)),
         discrepancy=_discrepancy(run),
     )
-    text = json.dumps(result, indent=2)
-    (run / SUMMARY).write_text(text + "\n", encoding="utf-8")
-    for stem in (_ROBOT, _EDGE, _LINK):
-        for file in _lives(run, stem):
-            file.unlink()
-    return result
+    return {**result, "services": services}
+
+
+def is_running(run: Path) -> bool:
+    """Return whether a service still writes its rows into this folder."""
+    return any(is_locked(run / f"{stem}.rows") for stem in STEMS)
+
+
+def set_aside(run: Path) -> None:
+    """Move the files of an earlier run into the folder `previous`, in place of those there."""
+    kept = [run / f"{name}.{kind}" for stem in STEMS for name in lives(run, stem) for kind in KINDS]
+    kept = [file for file in (*kept, run / SUMMARY, run / "recording.rrd") if file.exists()]
+    if not kept:
+        return
+    previous = run / "previous"
+    shutil.rmtree(previous, ignore_errors=True)
+    previous.mkdir(exist_ok=True)
+    for file in kept:
+        file.replace(previous / file.name)
 
 
 def record(run: Path, say: Callable[[str], None]) -> None:
@@ -66,28 +111,81 @@ def record(run: Path, say: Callable[[str], None]) -> None:
         say(line)
 
 
-def _lives(run: Path, stem: str) -> list[Path]:
-    """Return the report files of a service, the earliest life first."""
-    last = run / f"{stem}.json"
-    numbered = sorted(run.glob(f"{stem}.*.json"), key=lambda file: int(file.suffixes[-2][1:]))
-    return [*numbered, *([last] if last.exists() else [])]
+_Rows = tuple[Schema, np.ndarray]
 
 
 def _whole(
-    run: Path, stem: str, again: Callable[[np.ndarray, list[dict[str, Any]]], dict[str, Any]]
+    run: Path,
+    stem: str,
+    join: Callable[[np.ndarray, list[dict[str, Any]]], dict[str, Any]],
+    from_rows: Callable[[_Rows], dict[str, Any]],
 ) -> dict[str, Any] | None:
-    """Return one report of all lives; `again` makes it from their rows if there are several."""
-    found = [_report(file) for file in _lives(run, stem)]
-    reports = [report for report in found if report is not None]
-    if len(reports) > 1:
-        return again(_rows(run, stem), reports)
-    return reports[0] if reports else None
+    """Return one report of all lives; `join` makes it from their rows if there are several.
+
+    `from_rows` makes the report of a life that was killed. The robot's last life counts alone,
+    because each of its lives is a run.
+    """
+    names = lives(run, stem)[-1 if stem == _ROBOT else 0 :]
+    if len(names) == 1 and (report := _report(run / f"{names[0]}.json")) is not None:
+        return report
+    reports, tables = [], []
+    for name in names:
+        report, rows = _report(run / f"{name}.json"), _rows(run, name)
+        if report is None and rows is not None:
+            report = from_rows(rows)
+        if report is not None:
+            reports.append(report)
+            tables += [] if rows is None else [rows[1]]
+    if len(reports) > 1 and tables:
+        return join(np.concatenate(tables), reports)
+    return reports[-1] if reports else None
 
 
-def _rows(run: Path, stem: str) -> np.ndarray:
-    """Return the rows of the lives that have a report. A table without one is incomplete."""
-    tables = [file.with_suffix(".parquet") for file in _lives(run, stem)]
-    return np.concatenate([read_parquet(table)[1] for table in tables])
+def _rows(run: Path, name: str, *, columns: Sequence[str] | None = None) -> _Rows | None:
+    """Return the rows of a life, from Parquet or from its rows; None if it left neither."""
+    try:
+        return read_parquet(run / f"{name}.parquet", columns=columns)
+    except (OSError, ValueError, pa.ArrowException):
+        pass
+    try:
+        return read_rows(run / f"{name}.rows")
+    except (OSError, ValueError):
+        return None
+
+
+def _robot_from_rows(rows: _Rows) -> dict[str, Any]:
+    schema, table = rows
+    return robot_report(
+        schema,
+        table,
+        fell=None,
+        wall_seconds=float(np.ptp(schema.column(table, "wall_ns"))) * 1e-9 if len(table) else 0.0,
+        sent=len(table),
+        received=None,
+        lost=None,
+        refused=None,
+    )
+
+
+def _edge_from_rows(rows: _Rows) -> dict[str, Any]:
+    schema, table = rows
+    status = schema.column(table, "status").astype(int)
+    return edge_report(
+        table,
+        statuses={
+            each.value: int(np.sum(status == index))
+            for index, each in enumerate(QpStatus)
+            if np.any(status == index)
+        },
+        sent=None,
+        received=None,
+        lost=None,
+        refused=None,
+    )
+
+
+def _link_from_rows(profile: str, rows: _Rows) -> dict[str, Any]:
+    return link_report(rows[1], profile=profile, passes=0)
 
 
 def _edge_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, Any]:
@@ -95,16 +193,22 @@ def _edge_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, A
     return edge_report(
         rows,
         statuses=_added(report["edge_solves"] for report in reports),
-        sent=sum(report["link"]["downlink"]["sent"] for report in reports),
-        received=sum(way["received"] for way in up),
-        lost=sum(way["lost"] for way in up),
-        refused=_added(way["refused"] for way in up),
+        sent=_sum(report["link"]["downlink"]["sent"] for report in reports),
+        received=_sum(way["received"] for way in up),
+        lost=_sum(way["lost"] for way in up),
+        refused=_added(way["refused"] or {} for way in up),
     )
 
 
 def _link_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, Any]:
     passes = sum(report["profile_passes"] for report in reports)
     return link_report(rows, profile=reports[-1]["profile"], passes=passes)
+
+
+def _sum(counts: Iterable[int | None]) -> int | None:
+    """Return the sum of the known counts; None if all are unknown."""
+    known = [count for count in counts if count is not None]
+    return sum(known) if known else None
 
 
 def _added(counts: Iterable[dict[str, int]]) -> dict[str, int]:
@@ -116,10 +220,11 @@ def _added(counts: Iterable[dict[str, int]]) -> dict[str, int]:
 
 def _discrepancy(run: Path) -> dict[str, Any] | None:
     """Return the report of the active set, from the ticks whose state the edge has solved."""
-    if not _lives(run, _EDGE):
+    solves = [rows[1] for name in lives(run, _EDGE) if (rows := _rows(run, name)) is not None]
+    ticks = _rows(run, _ROBOT, columns=_COMPARED)
+    if not solves or ticks is None:
         return None
-    schema, rows = read_parquet(run / f"{_ROBOT}.parquet", columns=_COMPARED)
-    return discrepancy_report(schema, rows, _rows(run, _EDGE))
+    return discrepancy_report(*ticks, np.concatenate(solves))
 
 
 def _report(file: Path) -> dict[str, Any] | None:

@@ -12,7 +12,9 @@ The keys of a service. The table [defaults] has a value for a key that a service
     ready           Beginning of the line that it prints when it can be used.
     ready_seconds   Time until that line, beyond the time it may wait for a connection.
     stop_seconds    Time from the signal to end until it is killed.
-    restart         no, or on-failure:N: it is started again up to N times after an error.
+    restart         no, or on-failure:N/Ts: it is started again after an error. After more than N
+                    errors, each within T seconds of running, it is degraded: it waits before each
+                    start, twice as long each time, until it has run for T seconds.
     end             The meaning of its end. outcome: the run is over and has its exit code.
                     failure: the run has failed. ignored: the run goes on.
 """
@@ -32,7 +34,8 @@ FILE = Path(__file__).with_name("services.toml")
 OUTCOME, FAILURE, IGNORED = "outcome", "failure", "ignored"
 HELD = "held"
 FLAGS = ("config", "telemetry", "out", "name", "secure", HELD)
-_RESTART = re.compile(r"no|on-failure:([1-9]\d?)")
+_RESTART = re.compile(r"no|on-failure:([1-9]\d?)/([1-9]\d{0,4})s")
+_MAX_PAUSE_SECONDS = 30.0
 
 
 @dataclass(frozen=True)
@@ -53,10 +56,28 @@ class Service:
     end: str
 
     @property
-    def restarts_at_most(self) -> int:
-        """The maximum number of automatic restarts."""
+    def restarts(self) -> bool:
+        """Return whether it is started again after an error."""
+        return self.restart != "no"
+
+    @property
+    def window_seconds(self) -> float:
+        """The length of a life after which earlier failures do not count any more [s]."""
         match = _RESTART.fullmatch(self.restart)
-        return int(match[1]) if match is not None and match[1] else 0
+        return float(match[2]) if match is not None and match[2] else float("inf")
+
+    def degraded(self, failures: int) -> bool:
+        """Return whether it is degraded after a number of failures."""
+        return self._beyond(failures) > 0
+
+    def pause_seconds(self, failures: int) -> float:
+        """Return the wait before the next start after a number of failures [s]."""
+        beyond = self._beyond(failures)
+        return min(2.0 ** (beyond - 1), _MAX_PAUSE_SECONDS) if beyond > 0 else 0.0
+
+    def _beyond(self, failures: int) -> int:
+        match = _RESTART.fullmatch(self.restart)
+        return failures - int(match[1]) if match is not None and match[1] else 0
 
 
 def load_services(path: Path = FILE) -> dict[str, Service]:
@@ -117,7 +138,7 @@ def _service(name: str, defaults: dict[str, Any], own: Any) -> Service:
     _check(name, "port", port, type(port) is int and 0 <= port < 65536, "0 to 65535")
     by_default = table["by_default"]
     _check(name, "by_default", by_default, isinstance(by_default, bool), "true or false")
-    _check(name, "restart", restart, _RESTART.fullmatch(restart), "no, or on-failure:N")
+    _check(name, "restart", restart, _RESTART.fullmatch(restart), "no, or on-failure:N/Ts")
     ends = (OUTCOME, FAILURE, IGNORED)
     _check(name, "end", end, end in ends, f"one of {', '.join(ends)}")
     for flag in table["takes"]:

@@ -23,15 +23,17 @@ from deploy.background.state import (
     STARTING,
     STOPPING,
     LineFile,
+    ServiceState,
     StackFolder,
     StackState,
     exit_in_words,
+    process_started,
 )
 from deploy.console.terminal import Terminal
-from deploy.console.watch import open_hub, status_of, tell
-from deploy.outcome import keep_report, record, summarise
+from deploy.console.watch import open_hub, private_socket, status_of, tell
+from deploy.outcome import record, summarise
 from deploy.plan import ROBOT, VIEWER, Plan, PlannedService
-from deploy.services import HELD, IGNORED, OUTCOME, Service
+from deploy.services import HELD, IGNORED, OUTCOME
 from deploy.supervisor import Launch, Supervisor
 from shared.commands import wbc
 from shared.config.settings import RunConfig
@@ -54,7 +56,6 @@ class Run:
     config: RunConfig
     plan: Plan
     out: Path
-    telemetry: str
     name: str | None
     ready_fd: int | None = None
 
@@ -68,11 +69,8 @@ class StackRun:
         self._folder = StackFolder(run.out)
         self._status = status_of(run.config)
         self._terminal = Terminal()
-        self._supervisor = Supervisor(
-            run.out, self._say, changed=self._publish, before_restart=self._keep
-        )
+        self._supervisor = Supervisor(run.out, self._say, changed=self._publish)
         self._watched = run.plan.has(VIEWER)
-        self._restarted: list[str] = []
         # In the background: whether the terminal of the parent process is released.
         self._let_go = False
         self._stop = asyncio.Event()
@@ -84,6 +82,7 @@ class StackRun:
             named=run.plan.names,
             state=STARTING,
             since=time.time(),
+            started=process_started(os.getpid()),
         )
 
     async def run(self) -> int:
@@ -95,10 +94,11 @@ class StackRun:
             ending.append(signal.SIGHUP)
         for number in ending:
             loop.add_signal_handler(number, self._stop.set)
-        with self._claimed():
+        with self._claimed(), private_socket() as telemetry:
             for line in (f"run folder: {self._out}", *self._run.plan.notes):
                 self._terminal.tell(line)
-            hub = open_hub(self._run.telemetry, self._status, robot=self._run.config.robot.name)
+            self._telemetry = telemetry
+            hub = open_hub(telemetry, self._status, self._run.config.robot.name)
             failure: LinkError | None = None
             code = EXIT_ERROR
             try:
@@ -110,14 +110,21 @@ class StackRun:
                 self._terminal.clear()
                 self._put(STOPPING)
                 await self._supervisor.stop()
-                hub.close()
             outcome = self._sum_up()
+            hub.close()
             if failure is not None:
                 raise failure
             if not outcome:
                 self._terminal.tell(f"files: {self._out}")
-            self._put(STOPPING, outcome=outcome or "stopped", exit_code=code)
+                outcome = self._last_words(code)
+            self._put(STOPPING, outcome=outcome, exit_code=code)
             return code
+
+    def _last_words(self, code: int) -> str:
+        """Return the outcome of a run without a summary: the robot's own last line."""
+        if self._run.plan.has(ROBOT) and code in (EXIT_STANDING, EXIT_FELL):
+            return self._supervisor.last_line(ROBOT)
+        return "stopped"
 
     @contextlib.contextmanager
     def _claimed(self) -> Iterator[None]:
@@ -186,7 +193,7 @@ class StackRun:
                 ending.cancel()
                 return self._stopped_code
             if self._run.plan.has(ROBOT):
-                tell(self._status, self._terminal)
+                tell(self._status, self._terminal, degraded=self._state.degraded)
             await asyncio.wait({ending}, timeout=_STATUS_SECONDS)
         service, code = ending.result()
         if service.end == OUTCOME and code in (EXIT_STANDING, EXIT_FELL, EXIT_INTERRUPTED):
@@ -213,7 +220,7 @@ class StackRun:
         run, secure = self._run, self._run.plan.secure
         values = {
             "config": self._out / "config.toml",
-            "telemetry": run.telemetry,
+            "telemetry": self._telemetry,
             "out": self._out,
             "name": run.name,
             "secure": secure,
@@ -230,11 +237,6 @@ class StackRun:
     def _say(self, name: str, line: str) -> None:
         self._terminal.say(name, line)
 
-    def _keep(self, service: Service) -> None:
-        """Keep the files of a service before it is started again."""
-        keep_report(self._out, service.report)
-        self._restarted.append(service.name)
-
     def _publish(self) -> None:
         self._put(self._state.state)
 
@@ -249,27 +251,38 @@ class StackRun:
 
     def _sum_up(self) -> str:
         """Print the summary of the run, and return its first line; empty if there is none."""
-        try:
-            result = summarise(self._out, self._run.config)
-        except OSError as error:
-            self._terminal.tell(f"no summary: {error}")
-            return ""
+        again = [service for service in self._supervisor.states() if service.restarts]
+        result = summarise(
+            self._out,
+            self._run.config,
+            self._terminal.tell,
+            services={
+                service.name: {
+                    "restarts": service.restarts,
+                    "degraded_seconds": service.degraded_seconds,
+                }
+                for service in again
+            },
+        )
         if result is None:
             return ""
         # A viewer that was started again has recorded only its last life. In the background the
         # recording is left out: a user waits for the end of the run, not for a recording.
-        whole = (self._out / "recording.rrd").exists() and VIEWER not in self._restarted
+        whole = (self._out / "recording.rrd").exists() and VIEWER not in [
+            each.name for each in again
+        ]
         if not whole and self._run.ready_fd is None:
             record(self._out, lambda line: self._say(VIEWER, line))
         text = summary_in_words(result)
-        self._terminal.tell("\n".join([text, *self._happened(), f"  files: {self._out}"]))
+        self._terminal.tell("\n".join([text, *self._happened(again), f"  files: {self._out}"]))
         return text.splitlines()[0]
 
-    def _happened(self) -> list[str]:
+    def _happened(self, again: list[ServiceState]) -> list[str]:
         """Return a line with events and restarts, which the services' files do not have."""
-        again = [
-            f"{name} started again {self._restarted.count(name)} ×"
-            for name in dict.fromkeys(self._restarted)
+        restarts = [
+            f"{service.name} started again {service.restarts} ×"
+            + (f", degraded for {service.degraded_seconds:g} s" * (service.degraded_seconds > 0))
+            for service in again
         ]
-        text = "; ".join([*filter(None, [self._status.events.in_words()]), *again])
+        text = "; ".join([*filter(None, [self._status.events.in_words()]), *restarts])
         return [f"  {text}"] if text else []

@@ -17,6 +17,7 @@ from deploy.background.state import (
     READY,
     STARTING,
     STOPPING,
+    WAITING,
     LineFile,
     ServiceState,
     exit_in_words,
@@ -46,7 +47,12 @@ class _Child:
     state: str = STARTING
     since: float = 0.0
     restarts: int = 0
+    # Failures that count together, as `Service.degraded` takes them.
+    failures: int = 0
+    degraded_seconds: float = 0.0
     last_line: str = ""
+    # The process has ended, with its group. Its number may belong to another process by now.
+    over: bool = False
 
     @property
     def name(self) -> str:
@@ -56,8 +62,7 @@ class _Child:
 class Supervisor:
     """Runs services; `say(name, line)` shows their output. Logs go to `folder`/NAME.log.
 
-    `changed()` is called after every change of a state, `before_restart(service)` between the end
-    of a process and the start of the next one.
+    `changed()` is called after every change of a state.
     """
 
     def __init__(
@@ -66,12 +71,10 @@ class Supervisor:
         say: Callable[[str, str], None],
         *,
         changed: Callable[[], None],
-        before_restart: Callable[[Service], None],
     ) -> None:
         self._folder = folder
         self._say = say
         self._changed = changed
-        self._before_restart = before_restart
         self._children: dict[str, _Child] = {}
         self._ended: asyncio.Queue[tuple[Service, int]] = asyncio.Queue()
 
@@ -94,7 +97,8 @@ class Supervisor:
     async def restart(self, name: str) -> None:
         """End a service, start it again and wait until it is ready.
 
-        A service that has ended can be started again if the run goes on without it. Raise
+        A service that waits before its next start is started at once. A service that has ended can
+        be started again if the run goes on without it. Raise
         `ConfigError` if the service is not running, or if its end is the end of the run. Raise
         `LinkError` if it does not become ready again; the service has then ended.
         """
@@ -104,7 +108,7 @@ class Supervisor:
         service = child.launch.service
         if service.end == OUTCOME:
             raise ConfigError(f"restart: the run ends with {name}; try {wbc('down')}, then up")
-        if child.state != READY and (child.state, service.end) != (ENDED, IGNORED):
+        if child.state not in (READY, WAITING) and (child.state, service.end) != (ENDED, IGNORED):
             raise ConfigError(f"restart: {name} is {child.state} already; {wbc('ps')} shows it")
         # Set at once, so that a second request is refused.
         self._put(child, STOPPING)
@@ -144,6 +148,8 @@ class Supervisor:
                 since=child.since,
                 restarts=child.restarts,
                 exit_code=child.process.returncode,
+                degraded=child.launch.service.degraded(child.failures),
+                degraded_seconds=round(child.degraded_seconds, 1),
             )
             for child in self._children.values()
         ]
@@ -168,6 +174,7 @@ class Supervisor:
 
     async def _begin(self, child: _Child) -> None:
         child.ready.clear()
+        child.over = False
         held = HELD in child.launch.service.takes
         child.process = await start_process(child.launch.command, held=held)
         child.reader = asyncio.create_task(self._read(child))
@@ -202,24 +209,55 @@ class Supervisor:
         )
 
     async def _watch(self, child: _Child) -> None:
-        """Wait until the service ends for good; start it again up to `restarts_at_most` times."""
+        """Wait until the service ends for good; start it again as its `restart` says."""
         service = child.launch.service
-        failures = 0
         while True:
-            code = await child.process.wait()
-            if code == 0 or failures == service.restarts_at_most:
+            code = await self._life(child)
+            if code == 0 or not service.restarts:
                 break
-            failures += 1
-            self._say(
-                child.name,
-                f"ended ({exit_in_words(code)}): started again, {failures} of "
-                f"{service.restarts_at_most}",
-            )
+            await self._start_again(child, f"ended ({exit_in_words(code)})")
+        await self._finish(child)
+
+    async def _life(self, child: _Child) -> int:
+        """Wait for the end of a process, and return its code. A long life forgives failures."""
+        service = child.launch.service
+        if child.failures:
+            seconds = service.window_seconds
+            began = time.monotonic()
             try:
+                await asyncio.wait_for(child.process.wait(), seconds)
+            except asyncio.TimeoutError:
+                child.degraded_seconds += seconds if service.degraded(child.failures) else 0.0
+                child.failures = 0
+                self._say(child.name, f"has run for {seconds:g} s: its failures are forgotten")
+                self._changed()
+            else:
+                if service.degraded(child.failures):
+                    child.degraded_seconds += time.monotonic() - began
+        return await child.process.wait()
+
+    async def _start_again(self, child: _Child, how: str) -> None:
+        """Start a service until it becomes ready. Beyond its number of failures, wait before."""
+        service = child.launch.service
+        while True:
+            child.failures += 1
+            pause = service.pause_seconds(child.failures)
+            when = f"starts again in {pause:g} s (degraded)" if pause else "starts again"
+            self._say(child.name, f"{how}: {when}, failure {child.failures}")
+            await self._end(child)
+            began = time.monotonic()
+            try:
+                if pause:
+                    self._put(child, WAITING)
+                    await asyncio.sleep(pause)
                 await self._again(child)
             except LinkError as error:
-                self._say(child.name, str(error))
-        await self._finish(child)
+                how = str(error)
+            else:
+                return
+            finally:
+                if pause:
+                    child.degraded_seconds += time.monotonic() - began
 
     async def _restart(self, child: _Child, back: asyncio.Future[None]) -> None:
         try:
@@ -240,7 +278,6 @@ class Supervisor:
 
     async def _again(self, child: _Child) -> None:
         await self._end(child)
-        self._before_restart(child.launch.service)
         child.restarts += 1
         await self._begin(child)
         await self._become_ready(child)
@@ -256,6 +293,8 @@ class Supervisor:
 
     async def _end(self, child: _Child) -> None:
         """Wait until a process ends that has a signal to end; then end the rest of its group."""
+        if child.over:
+            return
         seconds = child.launch.service.stop_seconds
         try:
             await asyncio.wait_for(child.process.wait(), seconds)
@@ -264,6 +303,7 @@ class Supervisor:
         # A service may have left other processes in its group.
         kill_group(child.process)
         await child.process.wait()
+        child.over = True
         # Not awaited directly: if this task is cancelled, the reader goes on.
         await asyncio.wait({child.reader})
 

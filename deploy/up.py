@@ -79,8 +79,7 @@ def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd:
         secure=arguments.secure,
     )
     view = _resolve_view(config.view) if VIEWER in services else "off"
-    telemetry, *ports = _free_ports(3)
-    plan = make_plan(options, chosen, view=view, free_port=iter(ports).__next__)
+    plan = make_plan(options, chosen, view=view, free_port=iter(_free_ports(2)).__next__)
     robot = arguments.name or config.robot.name
     check_credentials(plan, robot=robot)
     _check_port(plan)
@@ -89,8 +88,7 @@ def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd:
     out = _run_folder(arguments.out, config, services)
     if VIEWER in services and view == "off" and config.view == "auto":
         print("no screen: the run is recorded, not shown (--view web for a browser)", flush=True)
-    hub = f"tcp/127.0.0.1:{telemetry}"
-    described = Run(config, plan, out, hub, arguments.name, ready_fd)
+    described = Run(config, plan, out, arguments.name, ready_fd)
     return asyncio.run(StackRun(described).run())
 
 

@@ -107,7 +107,6 @@ def main() -> int:
             downlinks[answer.robot].publish(answer.data)
         solve_ns = time.monotonic_ns() - started_ns
         answer.record(log.row(), wall_ns=started_ns, solve_ns=solve_ns)
-    bus.close()
     report = log.finish(
         lambda rows: edge_report(
             rows,
@@ -123,6 +122,8 @@ def main() -> int:
         f"solve p50 {report['edge_solve_ms']['p50']} ms, refused {dict(node.refused) or 'none'}",
         flush=True,
     )
+    # Last, because a neighbour that is cut off makes it wait.
+    bus.close()
     return EXIT_STANDING
 
 

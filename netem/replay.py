@@ -104,12 +104,13 @@ def run_replay(arguments: argparse.Namespace) -> int:
         flush=True,
     )
     shim.run(lambda: stop.requested)
-    near.close()
-    far.close()
     log.finish(lambda rows: link_report(rows, profile=profile.name, passes=shim.passes))
     print(
         f"stopped: {sides.uplink.sent} up, {sides.downlink.sent} down, {shim.under_way} still "
         "under way",
         flush=True,
     )
+    # Last, because a neighbour that is cut off makes it wait.
+    near.close()
+    far.close()
     return EXIT_STANDING

@@ -70,6 +70,7 @@ class Shim:
         self._changed = threading.Condition()
         self._held_bytes = 0
         self._overflowed = False
+        self._over = False
         self.passes = 0
 
     @property
@@ -83,6 +84,8 @@ class Shim:
         def take(delivery: Delivery) -> None:
             sent_ns = self._sent_ns(delivery)
             with self._changed:
+                if self._over:
+                    return
                 if not self._lines:
                     self._start(sent_ns)
                 line = self._lines[direction]
@@ -100,10 +103,12 @@ class Shim:
         return take
 
     def run(self, stopping: Callable[[], bool]) -> None:
-        """Release messages until `stopping()`."""
+        """Release messages until `stopping()`. Messages that arrive later are ignored."""
         while not stopping():
             if self._wait_for_work():
                 self._release()
+        with self._changed:
+            self._over = True
 
     def _sent_ns(self, delivery: Delivery) -> int:
         """The sending time [ns]: the message's stamp if it is of our clock, or else the present."""

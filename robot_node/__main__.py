@@ -98,7 +98,6 @@ def main() -> int:
             loop.run(duration_ns=round(config.duration * 1e9), stopping=lambda: stop.requested)
         except LinkError as error:
             failure = error
-    bus.close()
     if node.on_board is not None:
         node.on_board.close()
 
@@ -117,14 +116,17 @@ def main() -> int:
         )
 
     report = log.finish(make_report)
+    if failure is None:
+        outcome = "fell" if node.fallen else "stands"
+        print(
+            f"{outcome} after {report['task_seconds']:.2f} s: commands {report['commands']}, CoM "
+            f"error {100 * (report['com_error_m'] or 0):.2f} cm, overruns {report['overruns']}",
+            flush=True,
+        )
+    # Last, because a neighbour that is cut off makes it wait.
+    bus.close()
     if failure is not None:
         raise failure
-    outcome = "fell" if node.fallen else "stands"
-    print(
-        f"{outcome} after {report['task_seconds']:.2f} s: commands {report['commands']}, CoM error "
-        f"{100 * (report['com_error_m'] or 0):.2f} cm, overruns {report['overruns']}",
-        flush=True,
-    )
     if node.fallen:
         return EXIT_FELL
     finished = node.time_ns >= round(config.duration * 1e9)

@@ -6,7 +6,9 @@ import numpy as np
 
 from shared.bus.base import Delivery
 from shared.bus.zenoh_bus import ZenohBus, ZenohPublisher
+from shared.robots import load_robot
 from shared.telemetry.row_log import decode_rows
+from shared.telemetry.schema import tick_schema
 from shared.wire.channels import TICKS_KEY
 
 
@@ -16,11 +18,13 @@ class TelemetryHub:
     def __init__(self, endpoint: str, *, robot: str = "romeo") -> None:
         self.endpoint = endpoint
         self._newest: dict[str, np.ndarray] = {}
+        model = load_robot(robot).model
+        self._schema = tick_schema(nq=model.nq, nv=model.nv)
         self._bus = ZenohBus(listen=[endpoint], mode="router")
         self._bus.subscribe(TICKS_KEY.format(robot=robot), self._take)
 
     def _take(self, delivery: Delivery) -> None:
-        schema, rows = decode_rows(delivery.data)
+        schema, rows = decode_rows(delivery.data, self._schema)
         self._newest = {name: schema.column(rows, name) for name in schema.slices}
 
     def newest(self, name: str) -> np.ndarray:

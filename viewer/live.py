@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from shared.config.settings import RunConfig
-from shared.errors import UserError
-from shared.robots import load_robot
+from shared.robots import Robot, load_robot
 from shared.telemetry.row_log import decode_rows
-from shared.telemetry.schema import Schema
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
 from viewer.blueprint import layout
 from viewer.display import Display
 from viewer.intake import BlockQueue, connect, subscribe
@@ -55,7 +54,7 @@ def watch(
     # Before the bus: its threads must not be forked into the display's child process.
     display = Display(recording, view, blueprint=layout(config, live=True), file=file)
     session = None
-    drawn = _Drawn(Scene(recording, robot, config, meshes=meshes), say)
+    drawn = _Drawn(Scene(recording, robot, config, meshes=meshes), robot, say)
     try:
         session = connect(telemetry, stopped=stopped)
         if session is None:
@@ -85,7 +84,9 @@ def watch(
 class _Drawn:
     """The scene, and counts of the rows drawn, the blocks refused and the ticks missing."""
 
-    def __init__(self, scene: Scene, say: Callable[[str], None]) -> None:
+    def __init__(self, scene: Scene, robot: Robot, say: Callable[[str], None]) -> None:
+        ticks = tick_schema(nq=robot.model.nq, nv=robot.model.nv)
+        self._schemas = (ticks, LINK_SCHEMA, SOLVE_SCHEMA)
         self.rows = 0
         self.refused = 0
         self.missing = 0
@@ -95,11 +96,12 @@ class _Drawn:
 
     def add(self, blocks: list[bytes]) -> None:
         for block in blocks:
+            # Whatever is wrong with a block, the view goes on with the next one.
             try:
-                schema, rows = decode_rows(block)
+                schema, rows = decode_rows(block, *self._schemas)
                 self._scene.log_rows(schema, rows)
                 self._count(schema, rows)
-            except (UserError, ValueError) as error:
+            except Exception as error:
                 if not self.refused:
                     self._say(f"a block cannot be drawn: {error}")
                 self.refused += 1

@@ -5,6 +5,8 @@
     link.parquet        the link's rows, if there
     edge.parquet        the edge's rows, if there
 
+The rows of a service that was killed, NAME.rows, become such a table first.
+
 Lockstep and live runs have the same files. An hour of the robot's rows does not fit into memory, so
 rows are read in chunks.
 """
@@ -23,6 +25,7 @@ from shared.config.config_file import load_config
 from shared.config.settings import RunConfig
 from shared.errors import UserError
 from shared.robots import load_robot
+from shared.telemetry.lives import recover
 from shared.telemetry.parquet import parquet_chunks, parquet_shape, read_parquet
 from shared.telemetry.schema import Schema, tick_schema
 
@@ -62,6 +65,9 @@ def read_run(path: Path) -> RunFolder:
             f"expected the folder of a run, as in runs/…, or as `wbc trial --out "
             f"DIR` writes it, got {path}"
         )
+    for stem in ("telemetry", "link", "edge"):
+        with _reading(path / f"{stem}.rows"):
+            recover(path, stem)
     missing = [name for name in _FILES if not (path / name).is_file()]
     if missing:
         raise UserError(

@@ -42,6 +42,12 @@ class Machines:
     robot: Machine
     edge: Machine
 
+    def cut(self) -> None:
+        """Cut the cable: messages get lost, and neither end is told."""
+        for machine, other in ((self.robot, self.edge), (self.edge, self.robot)):
+            nobody = ("lladdr", "02:00:00:00:00:01", "dev", _DEVICE, "nud", "permanent")
+            _run("ip", "-n", machine.namespace, "neigh", "replace", other.address, *nobody)
+
 
 @contextlib.contextmanager
 def two_machines(*, rate: str) -> Iterator[Machines]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import os
 import signal
 import sys
@@ -16,7 +17,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deploy.background.registry import Registry
-from deploy.background.state import ENDED, StackFolder, StackState, exit_in_words
+from deploy.background.state import (
+    ENDED,
+    StackFolder,
+    StackState,
+    exit_in_words,
+    process_started,
+)
 from deploy.console.terminal import Terminal, service_line
 from deploy.services import load_services
 from shared.commands import wbc
@@ -85,9 +92,36 @@ def _one_with(service: str | None, arguments: argparse.Namespace) -> tuple[Stack
     return having[0]
 
 
+def _ended(stack: StackFolder, state: StackState) -> StackState:
+    """Return the state of a stack; if it was killed as a whole, sum its run up first."""
+    if stack.alive or state.state == ENDED:
+        return state
+    # Imported here: only the end of a run needs them.
+    from deploy.outcome import is_running, summarise
+    from shared.config.config_file import load_config
+    from shared.output.report import summary_in_words
+
+    if is_running(stack.run):
+        return state
+    outcome = "its supervisor was killed"
+    result = None
+    # The folder may lack its settings by now.
+    with contextlib.suppress(ConfigError):
+        result = summarise(stack.run, load_config(stack.run / "config.toml"), print)
+    if result is not None:
+        words = summary_in_words(result)
+        print(words)
+        outcome += f"; {words.splitlines()[0]}"
+    state = dataclasses.replace(
+        state, state=ENDED, since=time.time(), outcome=outcome, exit_code=EXIT_ERROR
+    )
+    stack.write(state)
+    return state
+
+
 def run_ps(arguments: argparse.Namespace) -> int:
     """Print every stack that runs and its services; if none runs, how the last one ended."""
-    found = _stacks(arguments)
+    found = [(stack, _ended(stack, state)) for stack, state in _stacks(arguments)]
     if not any(stack.alive for stack, _ in found):
         print("nothing is running")
     for stack, state in found:
@@ -99,12 +133,15 @@ def _in_words(stack: StackFolder, state: StackState, *, alive: bool, now: float)
     """Return the lines that describe a stack, and a table of its services."""
     since = _time_of_day(state.since, now)
     if alive:
-        lines = [f"{stack.run}: {state.robot}, {state.state} since {since}, pid {state.pid}"]
+        degraded = f" ({', '.join(state.degraded)} degraded)" if state.degraded else ""
+        lines = [
+            f"{stack.run}: {state.robot}, {state.state}{degraded} since {since}, pid {state.pid}"
+        ]
     elif state.state == ENDED:
         lines = [f"{stack.run}: ended {since} (exit {state.exit_code}): {state.outcome}"]
     else:
         lines = [f"{stack.run}: its supervisor was killed; its services end with it"]
-    lines.append(f"  {'SERVICE':<8} {'PID':>7}  {'STATE':<16} {'SINCE':<26} RESTARTS")
+    lines.append(f"  {'SERVICE':<8} {'PID':>7}  {'STATE':<18} {'SINCE':<26} RESTARTS")
     started = {service.name: service for service in state.services}
     for name in state.named:
         service = started.get(name)
@@ -116,7 +153,7 @@ def _in_words(stack: StackFolder, state: StackState, *, alive: bool, now: float)
         exited = ENDED if code is None else f"{ENDED} ({exit_in_words(code)})"
         lines.append(
             f"  {name:<8} {'-' if ended else service.pid:>7}  "
-            f"{exited if ended else service.state:<16} "
+            f"{exited if ended else service.state + ', degraded' * service.degraded:<18} "
             f"{_time_of_day(service.since, now):<26} {service.restarts}"
         )
     return lines
@@ -191,13 +228,18 @@ def run_down(arguments: argparse.Namespace) -> int:
     for stack, state in running:
         # A robot that has run for an hour takes minutes to write its measurements.
         print(f"{stack.run}: stopping")
-        # The stack holds its lock, so the process number is still its own.
+        # The number alone could be another process's.
+        if state.started not in (None, process_started(state.pid)):
+            raise LinkError(
+                f"down: {stack.folder / 'lock'} is held, and not by the stack (pid {state.pid}); "
+                "end the process that holds it"
+            )
         with contextlib.suppress(ProcessLookupError):
             os.kill(state.pid, signal.SIGTERM)
     codes = [EXIT_STANDING]
     for stack, state in found:
         _wait_for_end(stack, state)
-        state = stack.read()
+        state = _ended(stack, stack.read())
         print(_in_words(stack, state, alive=False, now=time.time())[0])
         if state.state != ENDED:
             codes.append(EXIT_ERROR)

@@ -9,14 +9,16 @@ installations as a package share `remote-wbc/stacks` in the user's state folder 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from deploy.background.state import StackFolder, StackState
+from deploy.background.state import StackFolder, StackState, open_private, private_folder
 from shared.commands import CHECKOUT, wbc
 from shared.errors import ConfigError
+from shared.file_lock import lock
+
+_LOCK_SECONDS = 10.0
 
 
 def registry_folder() -> Path:
@@ -56,8 +58,8 @@ class Registry:
         """Return all known stacks, or all of one robot, the newest first."""
         stacks = []
         for link in sorted(self._folder.glob("[!.]*")):
-            # The run's folder may have been removed.
-            with contextlib.suppress(ConfigError):
+            # The run's folder may have been removed, or its link may lead to itself.
+            with contextlib.suppress(ConfigError, OSError, RuntimeError):
                 stack = StackFolder(link.resolve())
                 state = stack.read()
                 if robot is None or state.robot == robot:
@@ -72,11 +74,16 @@ class Registry:
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
         """Lock the registry, so that two stacks that start at once are added one by one."""
+        private_folder(self._folder, what="up")
+        path = self._folder / ".lock"
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            lock = (self._folder / ".lock").open("w", encoding="ascii")
+            held = open_private(path)
         except OSError as error:
-            raise ConfigError(f"up: cannot write {self._folder}: {error.strerror}") from None
-        with lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            raise ConfigError(f"up: cannot write {path}: {error.strerror}") from None
+        with held:
+            if not lock(held, within=_LOCK_SECONDS):
+                raise ConfigError(
+                    f"up: another process has held {path} for {_LOCK_SECONDS:g} s; end it, or try "
+                    "again"
+                )
             yield

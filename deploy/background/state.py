@@ -10,23 +10,35 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import fcntl
 import json
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from shared.commands import wbc
 from shared.errors import ConfigError
+from shared.file_lock import is_locked, lock
 
 STARTING, READY, STOPPING, ENDED = "starting", "ready", "stopping", "ended"
+# Between a failure and the next start.
+WAITING = "waiting"
+# The state takes this room from the beginning, so that it can change on a full disk [bytes].
+_STATE_BYTES = 16_384
+_LOCK_SECONDS = 5.0
+# A reader may meet a state that is half written.
+_READ_ATTEMPTS, _READ_PAUSE_SECONDS = 20, 0.01
 
 
 @dataclass(frozen=True)
 class ServiceState:
-    """The last process of a service: its state, since when [s since 1970], and its exit code."""
+    """The last process of a service: its state, since when [s since 1970], and its exit code.
+
+    `degraded`: it has failed so often that it waits before each start. `degraded_seconds` is the
+    time for which it has been so.
+    """
 
     name: str
     pid: int
@@ -34,6 +46,8 @@ class ServiceState:
     since: float
     restarts: int
     exit_code: int | None
+    degraded: bool = False
+    degraded_seconds: float = 0.0
 
 
 def exit_in_words(code: int) -> str:
@@ -45,6 +59,7 @@ def exit_in_words(code: int) -> str:
 class StackState:
     """A stack: its supervisor's process, its services, and how it ended, if it has.
 
+    `started` tells the process from a later one with the same number: see `process_started`.
     `robot` is the name on the link, `named` every service of the plan, `services` the services that
     have been started. `state` and `since` are as in `ServiceState`.
     """
@@ -57,6 +72,47 @@ class StackState:
     services: tuple[ServiceState, ...] = ()
     outcome: str = ""
     exit_code: int | None = None
+    started: int | None = None
+
+    @property
+    def degraded(self) -> tuple[str, ...]:
+        """The names of the degraded services."""
+        return tuple(service.name for service in self.services if service.degraded)
+
+
+def process_started(pid: int) -> int | None:
+    """Return when a process started [ticks of the kernel since boot]; None if it is unknown."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return None
+    # The name of the program, in brackets, may have spaces and brackets.
+    return int(text.rpartition(")")[2].split()[19])
+
+
+def private_folder(folder: Path, *, what: str) -> None:
+    """Make a folder that no other user may enter.
+
+    Raise `ConfigError`, which begins with `what`, if that is impossible.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if folder.stat().st_uid != os.geteuid():
+            raise ConfigError(
+                f"{what}: expected a folder of this user, {folder} belongs to another one; remove "
+                "it, or use a copy of the project of your own"
+            )
+        folder.chmod(0o700)
+    except OSError as error:
+        raise ConfigError(f"{what}: cannot write {folder}: {error.strerror}") from None
+
+
+def open_private(path: Path) -> TextIO:
+    """Open a file for writing that no other user may open, so that none can hold its lock."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+    # The file may be older than this rule.
+    os.fchmod(descriptor, 0o600)
+    return os.fdopen(descriptor, "r+", encoding="utf-8")
 
 
 class LineFile:
@@ -92,49 +148,56 @@ class StackFolder:
     def claim(self) -> TextIO:
         """Make the folder and hold its lock until the returned file is closed or this process ends.
 
-        Raise `ConfigError` if the folder cannot be written.
+        Raise `ConfigError` if the folder cannot be written, or if another process holds the lock.
         """
+        private_folder(self.folder, what="out")
         try:
-            self.folder.mkdir(exist_ok=True)
-            held = self._lock.open("w", encoding="ascii")
+            held = open_private(self._lock)
         except OSError as error:
-            raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
-        fcntl.flock(held, fcntl.LOCK_EX)
+            raise ConfigError(f"out: cannot write {self._lock}: {error.strerror}") from None
+        if not lock(held, within=_LOCK_SECONDS):
+            held.close()
+            raise ConfigError(f"out: another stack uses {self.run}; try another --out")
         return held
 
     @property
     def alive(self) -> bool:
         """Return whether the supervisor lives."""
-        try:
-            with self._lock.open(encoding="ascii") as lock:
-                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        except OSError:
-            return False
-        return False
+        return is_locked(self._lock)
 
     def write(self, state: StackState) -> None:
-        """Replace the state, so that a reader finds either the old one or the new one.
+        """Replace the state in place, where it finds room on a full disk too.
 
-        If the disk is full, the old state stays and the run goes on.
+        If it cannot be written, the old state stays and the run goes on.
         """
-        new = self._state.with_suffix(".new")
         text = json.dumps(dataclasses.asdict(state), indent=2)
-        with contextlib.suppress(OSError):
-            new.write_text(text + "\n", encoding="utf-8")
-            os.replace(new, self._state)
+        with contextlib.suppress(OSError), open_private(self._state) as file:
+            size = max(os.fstat(file.fileno()).st_size, _STATE_BYTES)
+            os.pwrite(file.fileno(), text.encode().ljust(size - 1) + b"\n", 0)
 
     def read(self) -> StackState:
-        """Return the last state; raise `ConfigError` if this is not the folder of a run."""
-        try:
-            table = json.loads(self._state.read_text(encoding="utf-8"))
-            services = tuple(ServiceState(**each) for each in table.pop("services"))
-            return StackState(**{**table, "named": tuple(table["named"]), "services": services})
-        except (OSError, ValueError, KeyError, TypeError):
-            raise ConfigError(
-                f"run: expected the folder of a run that {wbc('up')} made, got {self.run}"
-            ) from None
+        """Return the last state; raise `ConfigError` if this is not the folder of a run.
+
+        Another user's state is refused: it could name any process.
+        """
+        for _ in range(_READ_ATTEMPTS):
+            try:
+                owner = self._state.stat().st_uid
+                if owner != os.geteuid():
+                    raise ConfigError(f"run: expected a run of this user, got {self.run}")
+                return _state_from(json.loads(self._state.read_text(encoding="utf-8")))
+            except ValueError:
+                time.sleep(_READ_PAUSE_SECONDS)
+            except (OSError, KeyError, TypeError, AttributeError):
+                break
+        raise ConfigError(
+            f"run: expected the folder of a run that {wbc('up')} made, got {self.run}"
+        )
+
+
+def _state_from(table: dict[str, Any]) -> StackState:
+    services = tuple(ServiceState(**each) for each in table.pop("services"))
+    return StackState(**{**table, "named": tuple(table["named"]), "services": services})
 
 
 @contextlib.contextmanager

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from deploy.console.events import TOLD_NS, Event, Events
 from shared.bus.base import Delivery
 from shared.telemetry.row_log import decode_rows
-from shared.telemetry.schema import Schema, Source
+from shared.telemetry.schema import LINK_SCHEMA, Schema, Source
 from shared.wbc.contacts import ContactMode
 
+# The columns that the line and the events show.
+_SHOWN = (
+    *("time_ns", "wall_ns", "source", "mode", "com_error_m", "push_n", "projector_age_ns"),
+    "overruns",
+)
+# Beyond, a time is no count of nanoseconds.
+_LIMIT = 2.0**62
 _BARS = "▁▂▃▄▅▆▇█"
 # The delays of the lowest and the highest bar; the scale is logarithmic [ms].
 _LEAST_MS, _MAX_MS = 1.0, 1000.0
@@ -27,10 +35,15 @@ _FEET = {
 
 
 class Status:
-    """The newest rows that the services publish, and the events in them."""
+    """The newest rows that the services publish, and the events in them.
 
-    def __init__(self, *, duration: float, walks: bool = False) -> None:
+    `ticks` are the columns of the robot's rows. `refused` counts the blocks that cannot be used.
+    """
+
+    def __init__(self, ticks: Schema, *, duration: float, walks: bool = False) -> None:
         self.events = Events()
+        self.refused = 0
+        self._ticks = ticks
         self._duration = duration
         self._walks = walks
         self._tick: tuple[Schema, np.ndarray] | None = None
@@ -40,23 +53,38 @@ class Status:
 
     def take_ticks(self, delivery: Delivery) -> None:
         """Take in a block of the robot's rows."""
-        schema, rows = self._tick = decode_rows(delivery.data)
-        self.events.take_ticks(schema, rows)
-        delay_ms = self._round_trip_ms(schema, rows)
-        if delay_ms is not None:
-            self._delays_ms.append(delay_ms)
+        with self._refusing():
+            _, rows = decode_rows(delivery.data, self._ticks)
+            _check_finite(self._ticks, rows, _SHOWN)
+            self._tick = self._ticks, rows
+            self.events.take_ticks(self._ticks, rows)
+            delay_ms = self._round_trip_ms(self._ticks, rows)
+            if delay_ms is not None:
+                self._delays_ms.append(delay_ms)
 
     def take_link(self, delivery: Delivery) -> None:
         """Take in a block of the shim's rows."""
-        schema, rows = decode_rows(delivery.data)
-        self.events.take_link(schema, rows)
-        directions, achieved = schema.column(rows, "direction"), schema.column(rows, "achieved_ns")
-        for direction in (0, 1):
-            way = achieved[directions == direction]
-            if way.size:
-                self._lost[direction] = bool(way[-1] < 0)
-                if way[-1] >= 0:
-                    self._delay_ms[direction] = way[-1] * 1e-6
+        schema = LINK_SCHEMA
+        with self._refusing():
+            _, rows = decode_rows(delivery.data, schema)
+            _check_finite(schema, rows, tuple(schema.slices))
+            self.events.take_link(schema, rows)
+            directions = schema.column(rows, "direction")
+            achieved = schema.column(rows, "achieved_ns")
+            for direction in (0, 1):
+                way = achieved[directions == direction]
+                if way.size:
+                    self._lost[direction] = bool(way[-1] < 0)
+                    if way[-1] >= 0:
+                        self._delay_ms[direction] = way[-1] * 1e-6
+
+    @contextlib.contextmanager
+    def _refusing(self) -> Iterator[None]:
+        """Count a block that cannot be used. No error reaches the thread of the bus."""
+        try:
+            yield
+        except Exception:
+            self.refused += 1
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
@@ -83,6 +111,8 @@ class Status:
         if self._walks:
             parts.append(f"{_FEET[ContactMode(int(last['mode']))]:<10}")
         parts.append(f"overruns {int(last['overruns'])}")
+        if self.refused:
+            parts.append(f"{self.refused} blocks refused")
         room = columns - len(before + link + after)
         shortest = _SHORTEST if self._delays_ms else 0
         for part in parts:
@@ -116,6 +146,16 @@ class Status:
         known = sum(delay for delay in self._delay_ms if delay is not None)
         waited_ns = max(self.events.silence_ns, age_ns if as_it_came else 0)
         return max(known, waited_ns * 1e-6) if waited_ns >= TOLD_NS else known
+
+
+def _check_finite(schema: Schema, rows: np.ndarray, names: Iterable[str]) -> None:
+    """Raise `ValueError` if a column has a value that no clock and no count can have."""
+    for name in names:
+        if not np.all(np.abs(schema.column(rows, name)) < _LIMIT):
+            raise ValueError(f"{name}: expected finite numbers")
+    if "source" in schema.slices:
+        for source in np.unique(schema.column(rows, "source")):
+            Source(source)
 
 
 def sparkline(delays_ms: Iterable[float]) -> str:

@@ -1,8 +1,9 @@
 """Watch a run whose services run elsewhere: telemetry hub, status line and summary.
 
-`python -m deploy.console.watch --listen tcp/0.0.0.0:7450` opens the hub that robot, shim and viewer
-connect to. `./deploy/up` contains a hub already. End this program after the services: it sums up
-the files that they have left in `--out`.
+`python -m deploy.console.watch --listen unixsock-stream/FILE` opens the hub that robot, shim and
+viewer connect to. Other users have no access to it. `./deploy/up` contains a hub already. End this
+program after the services: it sums up the files that they have left in `--out`. Files of an earlier
+run go to the folder `previous`.
 """
 
 from __future__ import annotations
@@ -11,21 +12,32 @@ from remote_wbc import begin
 
 begin(__name__)
 
+import contextlib
+import os
+import tempfile
 import time
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from deploy.console.status import Status
 from deploy.console.terminal import Terminal
-from deploy.outcome import SUMMARY, summarise
+from deploy.outcome import STEMS, SUMMARY, set_aside, summarise
 from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
 from shared.config.settings import RunConfig
+from shared.errors import ConfigError, LinkError
 from shared.output.report import summary_in_words
 from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
 from shared.process.service import StopSignal
+from shared.robots import load_robot
+from shared.telemetry.lives import lives
+from shared.telemetry.schema import tick_schema
 from shared.wire.channels import LINK_KEY, TICKS_KEY
 
-_ENDPOINT = "tcp/127.0.0.1:7450"
+_SOCKET = "unixsock-stream/"
+# The path of a socket has at most 107 characters.
+_MAX_SOCKET_FOLDER = 80
 _PERIOD_SECONDS = 0.1
 
 
@@ -34,8 +46,8 @@ def main() -> int:
     parser.add_argument(
         "--listen",
         metavar="ENDPOINT",
-        default=_ENDPOINT,
-        help="endpoint of the hub (default %(default)s)",
+        required=True,
+        help=f"the hub: {_SOCKET}FILE",
     )
     parser.add_argument(
         "--out",
@@ -47,48 +59,88 @@ def main() -> int:
     arguments = parser.parse_args()
     config = config_from(arguments)
     if arguments.out is not None:
-        # The summary of an earlier run: this run may leave none.
-        (arguments.out / SUMMARY).unlink(missing_ok=True)
+        _put_away(arguments.out, config)
     stop = StopSignal()
     status, terminal = status_of(config), Terminal()
-    hub = open_hub(arguments.listen, status, robot=config.robot.name)
+    hub = open_hub(arguments.listen, status, config.robot.name)
     print(f"READY {arguments.listen}", flush=True)
     while not stop.requested:
         tell(status, terminal)
         time.sleep(_PERIOD_SECONDS)
     terminal.clear()
-    hub.close()
     words = status.events.in_words()
     if words:
         print(words, flush=True)
     if arguments.out is not None:
-        result = summarise(arguments.out, config)
-        words = summary_in_words(result) if result else "no summary: the robot left no report"
-        print(words, flush=True)
+        _sum_up(arguments.out, config)
+    hub.close()
     return EXIT_STANDING
+
+
+def _put_away(out: Path, config: RunConfig) -> None:
+    """Put the files of an earlier run away. If it was killed, sum it up before."""
+    try:
+        if not (out / SUMMARY).exists() and any(lives(out, stem) for stem in STEMS):
+            print("the run before was killed:", flush=True)
+            _sum_up(out, config)
+        set_aside(out)
+    except OSError as error:
+        raise ConfigError(f"out: cannot write {error.filename or out}: {error.strerror}") from None
+
+
+def _sum_up(out: Path, config: RunConfig) -> None:
+    result = summarise(out, config, partial(print, flush=True))
+    words = summary_in_words(result) if result else "no summary: the robot left no report"
+    print(words, flush=True)
 
 
 def status_of(config: RunConfig) -> Status:
     """Return the status line for a run."""
-    return Status(duration=config.duration, walks=config.task == "walk")
+    model = load_robot(config.robot.name).model
+    ticks = tick_schema(nq=model.nq, nv=model.nv)
+    return Status(ticks, duration=config.duration, walks=config.task == "walk")
 
 
-def open_hub(endpoint: str, status: Status, *, robot: str) -> ZenohBus:
-    """Open the hub that the services of a run report to.
+@contextlib.contextmanager
+def private_socket() -> Iterator[str]:
+    """Yield the endpoint of a socket in a temporary folder that no other user may enter."""
+    long = len(tempfile.gettempdir()) > _MAX_SOCKET_FOLDER
+    with tempfile.TemporaryDirectory(prefix="wbc-", dir="/tmp" if long else None) as folder:
+        yield f"{_SOCKET}{folder}/hub"
+
+
+def open_hub(endpoint: str, status: Status, robot: str) -> ZenohBus:
+    """Open the hub that the services of a run report to, a socket of this user alone.
 
     `robot` is the kind of robot, not its name on the link.
     """
-    hub = ZenohBus(listen=[endpoint], mode="router")
+    file = Path(endpoint.removeprefix(_SOCKET))
+    if str(file) == endpoint:
+        raise LinkError(
+            f"listen: expected {_SOCKET}FILE, which other users cannot reach, got {endpoint}"
+        )
+    # The socket is private from its first moment.
+    before = os.umask(0o177)
+    try:
+        hub = ZenohBus(listen=[endpoint], mode="router")
+    finally:
+        os.umask(before)
     hub.subscribe(TICKS_KEY.format(robot=robot), status.take_ticks)
     hub.subscribe(LINK_KEY, status.take_link)
     return hub
 
 
-def tell(status: Status, terminal: Terminal) -> None:
-    """Print new events and the status line."""
-    for event in status.take_events():
-        terminal.say(event.name, event.text)
-    terminal.show(status.line(terminal.columns))
+def tell(status: Status, terminal: Terminal, *, degraded: Sequence[str] = ()) -> None:
+    """Print new events and the status line. An error in them is printed and ends nothing."""
+    try:
+        for event in status.take_events():
+            terminal.say(event.name, event.text)
+        line = status.line(terminal.columns)
+    except Exception as error:
+        line = f"no status: {type(error).__name__}: {error}"
+    if degraded:
+        line = f"{', '.join(degraded)} degraded | {line}"
+    terminal.show(line[: terminal.columns])
 
 
 if __name__ == "__main__":

@@ -9,9 +9,11 @@ evaluation.
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from netem.profile import DelayProfile
 from netem.profile_file import write_profile
 from netem.recorder.probe import MAX_PERIOD_NS, MIN_PERIOD_NS, ProbeSettings, parse_bytes
 from netem.recorder.probe_far import FarEnd
@@ -30,7 +32,7 @@ from shared.bus.base import new_session
 from shared.bus.security import EDGE, Credentials
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.settings import RobotConfig
-from shared.errors import ConfigError, LinkError
+from shared.errors import ConfigError, LinkError, ProfileError
 from shared.process.cli import EXIT_STANDING
 from shared.process.entry import EXIT_INTERRUPTED
 from shared.process.realtime import prepare, suspend_garbage_collection
@@ -118,13 +120,25 @@ def _run_near(arguments: argparse.Namespace) -> int:
         # A second signal ends the wait for the last stamps.
         again = StopSignal()
         loop.drain(lambda: again.requested)
+        recorded = _reconstruct(loop, arguments, start_ns=start_ns, end_ns=end_ns, early=early)
+        for line in summary_lines(recorded, _keep(recorded.profile, out)):
+            say(line)
     finally:
+        # Last, because a neighbour that is cut off makes it wait.
         bus.close()
-    recorded = _reconstruct(loop, arguments, start_ns=start_ns, end_ns=end_ns, early=early)
-    write_profile(recorded.profile, out)
-    for line in summary_lines(recorded, out):
-        say(line)
     return EXIT_STANDING
+
+
+def _keep(profile: DelayProfile, out: Path) -> Path:
+    """Write a profile; if its disk is full by now, into the folder for temporary files."""
+    try:
+        write_profile(profile, out)
+    except ProfileError as error:
+        elsewhere = Path(tempfile.mkdtemp(prefix="wbc-record-")) / out.name
+        write_profile(profile, elsewhere)
+        say(f"warning: {error}; the profile is in {elsewhere}")
+        return elsewhere
+    return out
 
 
 def _reconstruct(

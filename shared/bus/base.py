@@ -13,6 +13,8 @@ import threading
 from collections import Counter, deque
 from typing import NamedTuple, Protocol
 
+# The name of a thread that closes a session.
+CLOSING = "bus-close"
 _ENVELOPE = struct.Struct("<IIqI")
 
 

@@ -9,8 +9,10 @@ TLS and every key is granted by name: `shared/bus/security.py`.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
+import threading
 import time
 import zlib
 from collections.abc import Callable, Sequence
@@ -19,7 +21,7 @@ from typing import Any
 
 import zenoh
 
-from shared.bus.base import Delivery, Envelope, new_session
+from shared.bus.base import CLOSING, Delivery, Envelope, new_session
 from shared.bus.endpoint import parse_endpoint
 from shared.bus.preflight import preflight
 from shared.bus.security import Credentials
@@ -36,6 +38,8 @@ _SMALL_MESSAGE = 1_000
 _SMALL_SEND_BUFFER, _SEND_BUFFER, _LOCAL_SEND_BUFFER = 32_768, 131_072, 262_144
 # A robot that has lost its edge cannot wait for Zenoh's four seconds between two attempts.
 _RETRY = {"period_init_ms": 200, "period_max_ms": 500, "period_increase_factor": 2}
+# A healthy session closes within 0.1 s.
+_CLOSE_SECONDS = 1.0
 # Long enough for a TLS handshake over a link that stalls. Between attempts, a stop signal is seen.
 _ATTEMPT_SECONDS = 3.0
 
@@ -157,8 +161,21 @@ class ZenohBus:
         self._declared.append(self._session.declare_subscriber(key, direct))
 
     def close(self) -> None:
-        self._declared.clear()
-        self._session.close()
+        """Close the session. Never raise, and return after at most a second.
+
+        If the neighbour is frozen or its cable is cut, Zenoh waits for more than ten seconds, and
+        then raises. The close goes on in a thread then, and `shared.process.cli.run` ends the
+        process without waiting for it.
+        """
+        closing = threading.Thread(target=self._close, name=CLOSING, daemon=True)
+        closing.start()
+        closing.join(_CLOSE_SECONDS)
+
+    def _close(self) -> None:
+        with contextlib.suppress(zenoh.ZError):
+            # The last reference to a publisher or a subscriber undeclares it, which may wait too.
+            self._declared.clear()
+            self._session.close()
 
 
 class ZenohPublisher:

@@ -31,16 +31,18 @@ def robot_report(
     schema: Schema,
     rows: np.ndarray,
     *,
-    fell: bool,
+    fell: bool | None,
     wall_seconds: float,
     sent: int,
-    received: int,
-    lost: int,
-    refused: dict[str, int],
-    answers: dict[str, dict[str, int]],
-    sensor_faults: dict[str, int],
+    received: int | None,
+    lost: int | None,
+    refused: dict[str, int] | None,
+    answers: dict[str, dict[str, int]] | None,
+    sensor_faults: dict[str, int] | None,
 ) -> dict[str, Any]:
     """Return the robot's part, from its tick rows; rows before the task began are left out.
+
+    None: unknown, because the process was killed.
 
     The robot has `sent` a state in every tick, but the file of a long run has rows of its first
     ticks only. `task_seconds` counts all ticks, `measured_seconds` those with a row. All other
@@ -90,12 +92,12 @@ def edge_report(
     rows: np.ndarray,
     *,
     statuses: dict[str, int],
-    sent: int,
-    received: int,
-    lost: int,
-    refused: dict[str, int],
+    sent: int | None,
+    received: int | None,
+    lost: int | None,
+    refused: dict[str, int] | None,
 ) -> dict[str, Any]:
-    """Return the edge's part, from its solve rows."""
+    """Return the edge's part, from its solve rows. None: unknown, as in `robot_report`."""
     return {
         "edge_solve_ms": quantiles(SOLVE_SCHEMA.column(rows, "solve_ns") * 1e-6),
         "edge_solves": statuses,
@@ -195,8 +197,9 @@ def summary_in_words(summary: dict[str, Any]) -> str:
     )
     task = TASKS.label(summary["task"])
     controller = CONTROLLERS.label(summary["controller"])
+    ended = {True: "FELL", False: "Stands", None: "Killed"}[summary["fell"]]
     lines = [
-        f"{'FELL' if summary['fell'] else 'Stands'} after {summary['task_seconds']:.2f} s of "
+        f"{ended} after {summary['task_seconds']:.2f} s of "
         f"{task} with {controller} over {summary['network']}",
         "  CoM error and contact violation have no meaning after a fall"
         if summary["fell"]

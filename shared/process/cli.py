@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import errno
 import importlib
 import os
 import re
 import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NoReturn
 
+from shared.bus.base import CLOSING
 from shared.commands import wbc
 from shared.config.extensions import Extensions
 from shared.config.quantities import parse_duration_ns, parse_seconds
@@ -258,9 +261,19 @@ def run(main: Callable[[], int]) -> NoReturn:
         _give_up_output()
         print(f"error: cannot write to standard output: {error.strerror}", file=sys.stderr)
         code = EXIT_ERROR
+    if any(thread.name == CLOSING for thread in threading.enumerate()):
+        # Python would wait for this thread, or abort in it.
+        _flush_output()
+        os._exit(code)
     if silent:
         end_at_interrupt(code)
     raise SystemExit(code)
+
+
+def _flush_output() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):
+            stream.flush()
 
 
 def _give_up_output() -> None:

@@ -21,6 +21,7 @@ import numpy as np
 from shared.bus.security import DEFAULT_FOLDER, Credentials, robot_role
 from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import ConfigError
+from shared.telemetry.lives import begin_life
 from shared.telemetry.parquet import write_parquet
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import Schema
@@ -29,6 +30,8 @@ EDGE_ENDPOINT = "tcp/127.0.0.1:7460"
 NETEM_ENDPOINT = "tcp/127.0.0.1:7461"
 # An hour at 1 kHz: a service that runs for days should not fill the disk.
 _MAX_ROWS = 3_600_000
+# Enough for a report, and for the summary and the log lines of the whole run.
+_ROOM_BYTES = 262_144
 
 
 class StopSignal:
@@ -157,37 +160,54 @@ class ServiceLog:
             except OSError as error:
                 raise ConfigError(f"out: cannot create {out}: {error.strerror}") from None
         self._folder = out if out is not None else Path(self._temporary.name)
+        if out is not None:
+            begin_life(out, name)
         # Rows for which the file has no room are still published.
         path = self._folder / f"{name}.rows"
-        self.rows = RowLog(schema, path=path, publish=publish, at_most=_MAX_ROWS)
+        try:
+            self.rows = RowLog(schema, path=path, publish=publish, at_most=_MAX_ROWS)
+        except OSError as error:
+            raise ConfigError(f"out: cannot write {path}: {error.strerror}") from None
 
     def row(self) -> np.ndarray:
         """Return the next row to fill."""
         return self.rows.row()
 
     def finish(self, report: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """End the log, write its rows as Parquet, write and return `report(rows)`.
+        """End the log, write and return `report(rows)`, and write the rows as Parquet.
 
-        Raise `ConfigError` if the disk did not take all of it.
+        Print a line for files that cannot be written. Their rows stay in the file of rows.
         """
         self.rows.close()
         rows = self.rows.rows()
         result = report(rows)
-        failure = self.rows.failure
         if self._out is not None:
+            failure = self.rows.failure
             try:
+                rows = self._write_report(result, rows)
                 write_parquet(self.rows.schema, rows, self._out / f"{self.name}.parquet")
-                text = json.dumps(result, indent=2)
-                (self._out / f"{self.name}.json").write_text(text + "\n", encoding="utf-8")
                 (self._out / f"{self.name}.rows").unlink()
             except OSError as error:
-                failure = error
+                failure = failure or error
+            if failure is not None:
+                print(
+                    f"cannot write all of {self.name}'s files into {self._out}: "
+                    f"{failure.strerror or failure}; free space on the disk, or try another --out",
+                    flush=True,
+                )
         if self._hub is not None:
             self._hub.close()
         self._temporary.cleanup()
-        if failure is not None:
-            raise ConfigError(
-                f"out: cannot write all of {self.name}'s files into {self._folder}: "
-                f"{failure.strerror or failure}; free space on the disk, or try another --out"
-            )
         return result
+
+    def _write_report(self, result: dict[str, Any], rows: np.ndarray) -> np.ndarray:
+        """Write the report. If the disk is full, the last rows give way to it. Return the rows."""
+        assert self._out is not None
+        path, text = self._out / f"{self.name}.json", json.dumps(result, indent=2) + "\n"
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError:
+            self.rows.give_way(_ROOM_BYTES)
+            rows = self.rows.rows()
+            path.write_text(text, encoding="utf-8")
+        return rows

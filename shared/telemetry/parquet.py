@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,11 @@ if TYPE_CHECKING:
 
 
 def write_parquet(schema: Schema, rows: np.ndarray, path: Path) -> None:
-    """Write rows as a Parquet table, one column per schema column; vectors are fixed-size lists."""
+    """Write rows as a Parquet table, whole or not at all.
+
+    Each column of the schema is a column; vectors are fixed-size lists. Raise `OSError` if the file
+    cannot be written.
+    """
     # Imported here: control loops, which only fill rows, should not hold Arrow's memory.
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -26,18 +31,25 @@ def write_parquet(schema: Schema, rows: np.ndarray, path: Path) -> None:
         return kind if column.width == 1 else pa.list_(kind, column.width)
 
     arrow_schema = pa.schema([(column.name, field(column)) for column in schema.columns])
-    with pq.ParquetWriter(path, arrow_schema, compression="zstd") as writer:
-        for chunk in row_chunks(rows):
-            arrays = []
-            for column in schema.columns:
-                values = np.ascontiguousarray(chunk[:, schema.slices[column.name]])
-                flat = pa.array(values.astype(column.kind).ravel())
-                arrays.append(
-                    flat
-                    if column.width == 1
-                    else pa.FixedSizeListArray.from_arrays(flat, column.width)
-                )
-            writer.write_table(pa.table(arrays, schema=arrow_schema))
+    unfinished = path.with_name(f"{path.name}.part")
+    try:
+        with pq.ParquetWriter(unfinished, arrow_schema, compression="zstd") as writer:
+            for chunk in row_chunks(rows):
+                arrays = []
+                for column in schema.columns:
+                    values = np.ascontiguousarray(chunk[:, schema.slices[column.name]])
+                    flat = pa.array(values.astype(column.kind).ravel())
+                    arrays.append(
+                        flat
+                        if column.width == 1
+                        else pa.FixedSizeListArray.from_arrays(flat, column.width)
+                    )
+                writer.write_table(pa.table(arrays, schema=arrow_schema))
+        unfinished.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        raise
 
 
 def read_parquet(path: Path, *, columns: Sequence[str] | None = None) -> tuple[Schema, np.ndarray]:

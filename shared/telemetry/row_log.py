@@ -4,11 +4,17 @@ A loop fills one row of numbers per tick, message or solve into a block; a full 
 background thread, which appends it to a file and publishes it. So the loop is never blocked, and
 its memory does not grow. Afterwards the file becomes a Parquet table. In lockstep there is no file:
 the blocks stay in memory.
+
+The file begins with a line of JSON, the columns. If the process is killed, `read_rows` returns the
+rows, without those of the last block. The process locks the file, which tells a killed process from
+a living one.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
+import os
 import queue
 import threading
 from collections.abc import Callable, Iterator
@@ -17,9 +23,15 @@ from pathlib import Path
 import msgpack
 import numpy as np
 
+from shared.file_lock import lock
 from shared.telemetry.schema import Column, Schema
 
 BLOCK_ROWS = 100
+_FLOAT_BYTES = np.dtype(np.float64).itemsize
+# A longer first line is not the line of columns.
+_MAX_HEADER_BYTES = 65_536
+# Others hold the lock for a moment, to see whether this process lives.
+_LOCK_SECONDS = 1.0
 
 
 class RowLog:
@@ -49,6 +61,11 @@ class RowLog:
         self._used = 0
         self._queue: queue.SimpleQueue[np.ndarray | None] = queue.SimpleQueue()
         self._file = path.open("wb") if path is not None else None
+        if self._file is not None:
+            with self._keeping_failure():
+                lock(self._file, within=_LOCK_SECONDS)
+                self._file.write(_header(schema))
+                self._file.flush()
         self._thread: threading.Thread | None = None
         if self._file is not None or publish is not None:
             self._thread = threading.Thread(target=self._drain, name="row-log", daemon=True)
@@ -63,7 +80,7 @@ class RowLog:
         return row
 
     def close(self) -> None:
-        """Hand over the last rows and wait until they are written."""
+        """Hand over the last rows, and wait at most ten seconds until they are written."""
         self._hand_over()
         if self._thread is not None:
             self._queue.put(None)
@@ -78,11 +95,21 @@ class RowLog:
         """Return all rows of a closed log, shape (n, schema.width); memory-mapped from a file."""
         if self.path is None:
             return np.concatenate(self._kept) if self._kept else np.zeros((0, self.schema.width))
-        width = self.schema.width
-        count = self.path.stat().st_size // (width * np.dtype(np.float64).itemsize)
-        if count == 0:
-            return np.zeros((0, width))
-        return np.memmap(self.path, dtype=np.float64, mode="r", shape=(count, width))
+        try:
+            return read_rows(self.path)[1]
+        except ValueError:
+            # The disk had no room for the first line.
+            return np.zeros((0, self.schema.width))
+
+    def give_way(self, n_bytes: int) -> None:
+        """Remove the last rows of a closed log's file, as many as make room for `n_bytes`.
+
+        Arrays that `rows` has returned must not be used any more.
+        """
+        if self.path is not None:
+            kept = self.path.stat().st_size - n_bytes
+            with self._keeping_failure():
+                os.truncate(self.path, max(kept, len(_header(self.schema))))
 
     def _hand_over(self) -> None:
         block, self._block = self._block[: self._used], np.zeros_like(self._block)
@@ -98,15 +125,47 @@ class RowLog:
         while (block := self._queue.get()) is not None:
             if self._file is not None and self.failure is None:
                 kept = block[: self._left]
-                try:
+                with self._keeping_failure():
                     self._file.write(kept.data)
                     self._file.flush()
-                except OSError as error:
-                    self.failure = error
                 if self._left is not None:
                     self._left -= len(kept)
             if self._publish is not None:
-                self._publish(encode_rows(self.schema, block))
+                # No error of a watcher's session may end this thread, which writes the file.
+                with contextlib.suppress(Exception):
+                    self._publish(encode_rows(self.schema, block))
+
+    @contextlib.contextmanager
+    def _keeping_failure(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.failure = error
+
+
+def _header(schema: Schema) -> bytes:
+    """Return the line of columns, padded so that the rows after it are aligned."""
+    columns = [(column.name, column.width, column.kind) for column in schema.columns]
+    line = json.dumps(columns).encode()
+    return line + b" " * (-(len(line) + 1) % _FLOAT_BYTES) + b"\n"
+
+
+def read_rows(path: Path) -> tuple[Schema, np.ndarray]:
+    """Return the schema and the rows (n, width) of a log's file, memory-mapped.
+
+    A row that is not complete is left out. Raise `ValueError` if the file is not one of a log.
+    """
+    with path.open("rb") as file:
+        line = file.readline(_MAX_HEADER_BYTES)
+    try:
+        schema = Schema(*(Column(*column) for column in json.loads(line)))
+        count = (path.stat().st_size - len(line)) // (schema.width * _FLOAT_BYTES)
+    except (TypeError, ValueError, ArithmeticError):
+        raise ValueError(f"expected the rows of a run in {path}, got another file") from None
+    if count == 0:
+        return schema, np.zeros((0, schema.width))
+    shape = (count, schema.width)
+    return schema, np.memmap(path, dtype=np.float64, mode="r", offset=len(line), shape=shape)
 
 
 def encode_rows(schema: Schema, rows: np.ndarray) -> bytes:
@@ -115,15 +174,26 @@ def encode_rows(schema: Schema, rows: np.ndarray) -> bytes:
     return bytes(msgpack.packb({"columns": columns, "rows": rows.tobytes()}))
 
 
-def decode_rows(data: bytes) -> tuple[Schema, np.ndarray]:
-    """Return schema and rows (n, width) of a telemetry block; `ValueError` if it is not one."""
+def decode_rows(data: bytes, *schemas: Schema) -> tuple[Schema, np.ndarray]:
+    """Return schema and rows (n, width), n ≥ 1, of a telemetry block.
+
+    Raise `ValueError` if it is none, or if its columns are those of none of the `schemas`.
+    """
     try:
         block = msgpack.unpackb(data)
-        schema = Schema(*(Column(*column) for column in block["columns"]))
-        rows = np.frombuffer(block["rows"], dtype=np.float64).reshape(-1, schema.width)
+        columns = tuple(Column(*column) for column in block["columns"])
+        values = np.frombuffer(block["rows"], dtype=np.float64)
     except (msgpack.UnpackException, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"not a telemetry block: {error}") from None
-    return schema, rows
+    schema = next((each for each in schemas if each.columns == columns), None)
+    if schema is None:
+        names = ", ".join(str(column.name) for column in columns)
+        raise ValueError(f"not a telemetry block: unexpected columns {names[:200]}")
+    if not len(values) or len(values) % schema.width:
+        raise ValueError(
+            f"not a telemetry block: expected rows of {schema.width} numbers, got {len(values)}"
+        )
+    return schema, values.reshape(-1, schema.width)
 
 
 def row_chunks(rows: np.ndarray, *, size: int = 20_000) -> Iterator[np.ndarray]:

@@ -5,15 +5,25 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
+import stat
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from deploy.background import control
+from deploy.background import control, registry, state
 from deploy.background.registry import Registry
-from deploy.background.state import ENDED, READY, ServiceState, StackFolder, StackState
+from deploy.background.state import (
+    ENDED,
+    READY,
+    WAITING,
+    ServiceState,
+    StackFolder,
+    StackState,
+    process_started,
+)
 from shared.errors import ConfigError, LinkError
+from shared.file_lock import lock
 from shared.process.entry import python
 
 # A stack that ends at a signal as one does: with a state that says so, then without its lock.
@@ -40,12 +50,12 @@ def known(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Registry:
 
 def written(run: Path, **changes) -> StackFolder:
     """A stack that has ended, unless told otherwise; nobody holds its lock."""
-    state = {"pid": 1, "robot": "romeo", "named": ("edge", "robot"), "state": ENDED, "since": 9.0}
+    first = {"pid": 1, "robot": "romeo", "named": ("edge", "robot"), "state": ENDED, "since": 9.0}
     run.mkdir(exist_ok=True)
     stack = StackFolder(run)
     stack.claim().close()
     ended = {"services": SERVICES, "outcome": "it fell", "exit_code": 3}
-    stack.write(StackState(**{**state, **ended, **changes}))
+    stack.write(StackState(**{**first, **ended, **changes}))
     return stack
 
 
@@ -195,6 +205,92 @@ def test_a_restart_needs_a_stack_that_runs_and_answers(tmp_path, running):
         control.run_restart(asked(service="edge", run=written(tmp_path / "old").run))
     with pytest.raises(LinkError, match="does not answer"):
         control.run_restart(asked(service="edge", run=running().run))
+
+
+def test_a_stack_is_this_users_alone(tmp_path, known):
+    stack = written(tmp_path / "run")
+    known.add(stack.run, robot="romeo", services=("edge",))
+    for folder in (stack.folder, tmp_path / "stacks"):
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        files = [file for file in folder.iterdir() if not file.is_symlink()]
+        assert files
+        assert all(stat.S_IMODE(file.stat().st_mode) == 0o600 for file in files)
+
+
+def test_the_state_of_another_user_is_refused(tmp_path, monkeypatch):
+    stack = written(tmp_path / "run")
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    with pytest.raises(ConfigError, match="expected a run of this user"):
+        control.run_down(asked(run=stack.run))
+    with pytest.raises(ConfigError, match="belongs to another"):
+        stack.claim()
+
+
+def test_a_process_that_has_the_number_of_a_stack_is_not_signalled(tmp_path, running, monkeypatch):
+    stack = running()
+    other = subprocess.Popen(python("-c", "__import__('time').sleep(3600)"))
+    try:
+        wrong = {"pid": other.pid, "started": process_started(stack.read().pid)}
+        stack.write(dataclasses.replace(stack.read(), **wrong))
+        with pytest.raises(LinkError, match="is held, and not by the stack"):
+            control.run_down(asked(run=stack.run))
+        assert other.poll() is None
+    finally:
+        other.kill()
+        other.wait()
+
+
+def test_the_start_of_a_process_tells_it_from_others():
+    started = process_started(os.getpid())
+    assert started == process_started(os.getpid())
+    parent = process_started(os.getppid())
+    assert started is not None
+    assert parent is not None
+    assert parent <= started
+    assert process_started(2**22 + 1) is None
+
+
+def test_a_lock_that_another_process_holds_is_waited_for_with_an_end(
+    tmp_path, running, monkeypatch
+):
+    monkeypatch.setattr(state, "_LOCK_SECONDS", 0.1)
+    with pytest.raises(ConfigError, match="another stack uses"):
+        running().claim()
+    monkeypatch.setattr(registry, "_LOCK_SECONDS", 0.1)
+    folder = tmp_path / "stacks"
+    folder.mkdir()
+    with (folder / ".lock").open("w") as held:
+        assert lock(held, within=0.0)
+        with pytest.raises(ConfigError, match="another process has held"):
+            Registry(folder).add(tmp_path, robot="romeo", services=("edge",))
+
+
+def test_a_state_changes_on_a_full_disk(tmp_path, monkeypatch):
+    stack = written(tmp_path / "run")
+    blocks = (stack.folder / "state").stat().st_blocks
+    stack.write(dataclasses.replace(stack.read(), outcome="it stands " * 50))
+    assert stack.read().outcome == "it stands " * 50
+    stack.write(dataclasses.replace(stack.read(), outcome="short"))
+    assert stack.read().outcome == "short"
+    # It has not grown, so it needed no room.
+    assert (stack.folder / "state").stat().st_blocks == blocks
+
+
+def test_links_that_lead_to_themselves_are_no_stacks(known, tmp_path, capsys):
+    known.add(written(tmp_path / "run").run, robot="romeo", services=("edge",))
+    (tmp_path / "stacks/amy.edge").symlink_to(tmp_path / "stacks/amy.edge")
+    assert control.run_ps(asked()) == 0
+    assert "it fell" in capsys.readouterr().out
+
+
+def test_ps_shows_a_degraded_service(known, running, capsys):
+    degraded = (ServiceState("edge", 11, WAITING, 5.0, 4, 4, degraded=True, degraded_seconds=3.0),)
+    stack = running(services=degraded)
+    known.add(stack.run, robot="romeo", services=("edge", "robot"))
+    assert control.run_ps(asked()) == 0
+    shown = capsys.readouterr().out
+    assert "ready (edge degraded) since" in shown
+    assert "waiting, degraded" in shown
 
 
 def test_a_folder_that_is_no_run_is_an_error(tmp_path):

@@ -39,8 +39,17 @@ def test_the_stack_is_what_the_project_says_it_is():
     assert [name for name, each in services.items() if each.end == OUTCOME] == ["robot"]
     assert [name for name, each in services.items() if each.end == IGNORED] == ["viewer"]
     assert [name for name, each in services.items() if not each.by_default] == ["router"]
-    assert services["edge"].restarts_at_most == 3
-    assert services["netem"].restarts_at_most == 0
+    assert services["edge"].restarts
+    assert not services["netem"].restarts
+
+
+def test_beyond_its_failures_a_service_waits_before_each_start_twice_as_long():
+    edge = load_services()["edge"]
+    pauses = [edge.pause_seconds(failures) for failures in range(12)]
+    assert pauses == [0, 0, 0, 0, 1, 2, 4, 8, 16, 30, 30, 30]
+    assert [edge.degraded(failures) for failures in (0, 3, 4)] == [False, False, True]
+    assert edge.window_seconds == 60.0
+    assert not load_services()["netem"].degraded(7)
 
 
 def test_what_a_service_does_not_say_is_in_the_defaults(loaded):
@@ -70,7 +79,8 @@ def test_services_start_after_those_they_wait_for_and_else_as_in_the_file(loaded
         ),
         ('[one]\ncommand = ["a"]\nafter = ["two"]\n', "expected some of one, got 'two'"),
         ('[one]\ncommand = ["a"]\nafter = ["one"]\n', "wait for one another"),
-        ('[one]\ncommand = ["a"]\nrestart = "always"\n', "no, or on-failure:N"),
+        ('[one]\ncommand = ["a"]\nrestart = "always"\n', "no, or on-failure:N/Ts"),
+        ('[one]\ncommand = ["a"]\nrestart = "on-failure:3"\n', "no, or on-failure:N/Ts"),
         ('[one]\ncommand = ["a"]\nend = "bad"\n', "one of outcome, failure, ignored"),
         ('[one]\ncommand = ["a"]\ntakes = ["hat"]\n', "some of config, telemetry"),
         ('[one]\ncommand = ["a"]\nport = 70000\n', "0 to 65535"),

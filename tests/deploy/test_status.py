@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import stat
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from deploy.console.events import Events
 from deploy.console.status import Status, sparkline
+from deploy.console.terminal import Terminal
+from deploy.console.watch import open_hub, private_socket, tell
 from shared.bus.base import Delivery
+from shared.errors import LinkError
 from shared.telemetry.row_log import encode_rows
-from shared.telemetry.schema import LINK_SCHEMA, tick_schema
+from shared.telemetry.schema import LINK_SCHEMA, Column, Schema, tick_schema
 
 TICKS = tick_schema(nq=38, nv=37)
 MS = 1_000_000
@@ -135,7 +141,7 @@ def test_bars_are_by_powers_of_ten_from_a_millisecond_to_a_second():
 
 @pytest.fixture
 def status() -> Status:
-    shown = Status(duration=5.0, walks=True)
+    shown = Status(TICKS, duration=5.0, walks=True)
     for first in range(0, 3000, 100):
         link = messages(*((first + k, 10) for k in range(100)))
         shown.take_link(Delivery(encode_rows(LINK_SCHEMA, link), envelope=None))
@@ -180,7 +186,7 @@ def test_an_answer_in_use_that_grows_old_is_a_growing_bar_too(status):
 
 
 def test_without_a_shim_the_bars_are_the_age_of_answers_that_are_used_as_they_came():
-    direct = Status(duration=5.0)
+    direct = Status(TICKS, duration=5.0)
     for source, age_ms in ((4, 900), (1, 30), (2, 900), (0, 1)):
         rows = ticks(0, 99, source=source, projector_age_ns=age_ms * MS)
         direct.take_ticks(Delivery(encode_rows(TICKS, rows), envelope=None))
@@ -194,8 +200,76 @@ def test_what_is_lost_is_called_so(status):
 
 
 def test_a_robot_that_waits_says_so():
-    empty = Status(duration=5.0)
+    empty = Status(TICKS, duration=5.0)
     assert empty.line() == "waiting for the robot"
     rows = ticks(0, 9, time_ns=-1.0)
     empty.take_ticks(Delivery(encode_rows(TICKS, rows), envelope=None))
     assert empty.line() == "robot waits for its first projector"
+
+
+def changed(schema: Schema, rows: np.ndarray, **columns: float) -> np.ndarray:
+    rows = rows.copy()
+    for name, value in columns.items():
+        rows[-1, schema.slices[name]] = value
+    return rows
+
+
+OTHER = Schema(Column("tick"), Column("q", 3))
+BAD_TICKS = {
+    "no rows": encode_rows(TICKS, ticks(0, 9)[:0]),
+    "other columns": encode_rows(OTHER, np.zeros((3, OTHER.width))),
+    "rows of the shim": encode_rows(LINK_SCHEMA, messages((0, 10))),
+    "no number": encode_rows(TICKS, changed(TICKS, ticks(0, 9), wall_ns=np.nan)),
+    "no time": encode_rows(TICKS, changed(TICKS, ticks(0, 9), time_ns=1e30)),
+    "no source": encode_rows(TICKS, changed(TICKS, ticks(0, 9), source=99)),
+    "an infinite push": encode_rows(TICKS, changed(TICKS, ticks(0, 9), push_n=np.inf)),
+    "garbage": b"garbage",
+}
+BAD_LINK = {
+    "no rows": encode_rows(LINK_SCHEMA, messages((0, 10))[:0]),
+    "rows of the robot": encode_rows(TICKS, ticks(0, 9)),
+    "no number": encode_rows(
+        LINK_SCHEMA, changed(LINK_SCHEMA, messages((0, 9)), achieved_ns=np.nan)
+    ),
+    "garbage": b"",
+}
+
+
+@pytest.mark.parametrize("block", BAD_TICKS.values(), ids=BAD_TICKS)
+def test_a_block_of_the_robot_that_cannot_be_used_changes_nothing(status, block):
+    before = status.line(200)
+    status.take_ticks(Delivery(block, envelope=None))
+    assert status.refused == 1
+    assert status.take_events() == []
+    assert "1 blocks refused" in status.line(200)
+    assert status.line(200).startswith(before.split(" | overruns")[0])
+
+
+@pytest.mark.parametrize("block", BAD_LINK.values(), ids=BAD_LINK)
+def test_a_block_of_the_shim_that_cannot_be_used_changes_nothing(status, block):
+    status.take_link(Delivery(block, envelope=None))
+    assert status.refused == 1
+    assert status.take_events() == []
+
+
+def test_an_error_in_the_status_is_shown_and_ends_nothing(status, monkeypatch, capsys):
+    monkeypatch.setattr(status, "line", lambda columns: [][0])
+    tell(status, Terminal(), degraded=("edge",))
+    assert (
+        "edge degraded | no status: IndexError: list index out of range" in capsys.readouterr().out
+    )
+
+
+def test_the_hub_is_a_socket_that_no_other_user_can_reach(status):
+    with private_socket() as endpoint:
+        hub = open_hub(endpoint, status, "romeo")
+        try:
+            file = Path(endpoint.removeprefix("unixsock-stream/"))
+            assert stat.S_ISSOCK(file.stat().st_mode)
+            assert stat.S_IMODE(file.stat().st_mode) == 0o600
+            assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
+        finally:
+            hub.close()
+    assert not file.parent.exists()
+    with pytest.raises(LinkError, match="expected unixsock-stream/FILE"):
+        open_hub("tcp/127.0.0.1:7450", status, "romeo")

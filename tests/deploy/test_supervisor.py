@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.background.state import ENDED, READY
+from deploy.background.state import ENDED, READY, WAITING
 from deploy.services import load_services
 from deploy.supervisor import Launch, Supervisor
 from shared.errors import ConfigError, LinkError
@@ -40,12 +40,10 @@ class Run:
 
     def __init__(self, folder: Path) -> None:
         self.output: list[str] = []
-        self.restarted: list[str] = []
         self.supervisor = Supervisor(
             folder,
             lambda name, line: self.output.append(f"{name}: {line}"),
             changed=lambda: None,
-            before_restart=lambda service: self.restarted.append(service.name),
         )
 
     async def start(self, name: str, code: str, **changes) -> None:
@@ -172,14 +170,63 @@ def test_the_end_of_a_view_is_not_the_end_of_the_run(tmp_path: Path):
     assert service.name == "robot"
 
 
-def test_a_service_that_fails_is_started_again_as_its_policy_says(tmp_path: Path):
+def test_a_service_that_fails_again_and_again_is_degraded_and_the_run_goes_on(tmp_path: Path):
     async def scenario(run: Run):
-        await run.start("edge", FAILS, restart="on-failure:2")
-        service, code = await run.supervisor.wait()
-        assert (service.name, code) == ("edge", 4)
-        assert run.restarted == ["edge", "edge"]
+        await run.start("edge", FAILS, restart="on-failure:2/60s")
+        await run.start("robot", SLEEPS)
+        # One more than the failures that are no reason to wait.
+        await run.wait_for("edge: ended (exit 4): starts again in 1 s (degraded), failure 3")
+        edge = run.supervisor.states()[0]
+        assert (edge.state, edge.restarts, edge.degraded) == (WAITING, 2, True)
+        await run.wait_for("edge: ended (exit 4): starts again in 2 s (degraded), failure 4")
+        edge = run.supervisor.states()[0]
+        assert edge.degraded_seconds >= 1.0
+        assert run.supervisor.running("robot")
+        # It need not wait for the next start.
+        await run.supervisor.restart("edge")
+
+    played(tmp_path, scenario)
+
+
+def test_the_end_of_a_run_does_not_wait_for_the_next_start(tmp_path: Path, monkeypatch):
+    async def scenario(run: Run):
+        await run.start("edge", FAILS, restart="on-failure:1/60s")
+        await run.wait_for("edge: ended (exit 4): starts again in 1 s (degraded), failure 2")
+        signalled: list[int] = []
+        monkeypatch.setattr(os, "killpg", lambda pid, number: signalled.append(pid))
+        await run.supervisor.stop()
+        monkeypatch.undo()
+        # The number of the process that has ended may be another process's by now.
+        assert signalled == []
+
+    played(tmp_path, scenario)
+
+
+def test_a_service_that_runs_for_its_window_is_no_longer_degraded(tmp_path: Path):
+    async def scenario(run: Run):
+        code = FAILS_ONCE.format(tmp_path / "first")
+        await run.start("edge", code, restart="on-failure:1/1s")
+        await run.wait_for("edge: has run for 1 s: its failures are forgotten")
+        edge = run.supervisor.states()[0]
+        assert (edge.state, edge.restarts, edge.degraded) == (READY, 1, False)
+
+    played(tmp_path, scenario)
+
+
+def test_a_start_that_fails_is_tried_again(tmp_path: Path):
+    code = (
+        f"import pathlib; p = pathlib.Path('{tmp_path / 'lives'}'); "
+        "n = len(p.read_text()) if p.exists() else 0; p.write_text('x' * (n + 1)); "
+        "n == 1 and exit('error: no port'); print('READY', flush=True); "
+        "__import__('time').sleep(3600 if n else 0); exit(4)"
+    )
+
+    async def scenario(run: Run):
+        await run.start("edge", code)
+        await run.wait_for("edge: edge did not start (exit 1): no port: starts again, failure 2")
+        while not any("ready again" in line for line in run.output):
+            await asyncio.sleep(0.01)
         assert run.supervisor.states()[0].restarts == 2
-        assert "edge: ended (exit 4): started again, 2 of 2" in run.output
 
     played(tmp_path, scenario)
 

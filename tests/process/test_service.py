@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import json
+import os
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,7 @@ from shared.errors import ConfigError
 from shared.process import service
 from shared.process.service import ServiceLog, add_identity_arguments, identity_from
 from shared.telemetry.parquet import read_parquet
+from shared.telemetry.row_log import read_rows
 from shared.telemetry.schema import Column, Schema
 
 
@@ -48,11 +52,63 @@ def test_a_log_that_is_full_takes_no_more_rows(monkeypatch, tmp_path: Path):
     assert rows[:, 0].tolist() == [0.0, 1.0, 2.0]
 
 
-@pytest.mark.parametrize("full", ["edge.rows", "edge.parquet", "edge.json"])
-def test_a_full_disk_is_told_in_one_line_after_what_could_be_done(full: str, tmp_path: Path):
-    (tmp_path / full).symlink_to("/dev/full")
+def full_disk(monkeypatch: pytest.MonkeyPatch, name: str, *, times: int = 10**9) -> None:
+    """Let writing of a file fail, the first times."""
+    left = [times]
+    write_text = Path.write_text
+
+    def refuse(path: Path, *arguments, **options):
+        if path.name == name and left[0] > 0:
+            left[0] -= 1
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        return write_text(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "write_text", refuse)
+
+
+def test_a_disk_without_room_for_the_table_keeps_the_report_and_the_rows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "edge.parquet.part").symlink_to("/dev/full")
     log = ServiceLog("edge", Schema(Column("n")), out=tmp_path, telemetry=None, key="k")
     log.row()[0] = 1.0
-    with pytest.raises(ConfigError, match=r"out: cannot write all of edge's .* No space left"):
-        log.finish(lambda rows: {"rows": len(rows)})
+    assert log.finish(lambda rows: {"rows": len(rows)}) == {"rows": 1}
+    (line,) = capsys.readouterr().out.splitlines()
+    assert "cannot write all of edge's files" in line
+    assert "No space left on device; free space" in line
+    assert json.loads((tmp_path / "edge.json").read_text()) == {"rows": 1}
+    assert read_rows(tmp_path / "edge.rows")[1].tolist() == [[1.0]]
+    assert not (tmp_path / "edge.parquet").exists()
     assert not Path(log._temporary.name).exists()
+
+
+def test_rows_give_way_to_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    full_disk(monkeypatch, "edge.json", times=1)
+    monkeypatch.setattr(service, "_ROOM_BYTES", 16)
+    log = ServiceLog("edge", Schema(Column("n")), out=tmp_path, telemetry=None, key="k")
+    for number in range(10):
+        log.row()[0] = number
+    log.finish(lambda rows: {"rows": len(rows)})
+    assert json.loads((tmp_path / "edge.json").read_text()) == {"rows": 10}
+    _, rows = read_parquet(tmp_path / "edge.parquet")
+    assert rows[:, 0].tolist() == list(range(8))
+
+
+def test_a_disk_without_any_room_still_gives_the_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    full_disk(monkeypatch, "edge.json")
+    log = ServiceLog("edge", Schema(Column("n")), out=tmp_path, telemetry=None, key="k")
+    log.row()[0] = 1.0
+    assert log.finish(lambda rows: {"rows": len(rows)}) == {"rows": 1}
+    assert len(capsys.readouterr().out.splitlines()) == 1
+
+
+def test_the_next_process_keeps_the_files_of_the_one_before(tmp_path: Path):
+    for life in (1.0, 2.0):
+        log = ServiceLog("edge", Schema(Column("n")), out=tmp_path, telemetry=None, key="k")
+        log.row()[0] = life
+        log.finish(lambda rows: {"rows": len(rows)})
+    for name, life in (("edge.1", 1.0), ("edge", 2.0)):
+        assert read_parquet(tmp_path / f"{name}.parquet")[1].tolist() == [[life]]
+        assert (tmp_path / f"{name}.json").exists()

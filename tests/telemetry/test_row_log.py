@@ -11,8 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from shared.file_lock import is_locked
 from shared.telemetry.parquet import parquet_chunks, parquet_shape, read_parquet, write_parquet
-from shared.telemetry.row_log import BLOCK_ROWS, RowLog, decode_rows, encode_rows, row_chunks
+from shared.telemetry.row_log import (
+    BLOCK_ROWS,
+    RowLog,
+    decode_rows,
+    encode_rows,
+    read_rows,
+    row_chunks,
+)
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Column, Schema, tick_schema
 
 SCHEMA = Schema(Column("tick", kind="int64"), Column("q", 3), Column("error"))
@@ -69,7 +77,9 @@ def test_a_log_on_file_returns_every_row_in_order(tmp_path, count):
     log = fill(RowLog(SCHEMA, path=tmp_path / "ticks.f64"), count)
     log.close()
     np.testing.assert_array_equal(log.rows(), expected(count))
-    assert (tmp_path / "ticks.f64").stat().st_size == count * SCHEMA.width * 8
+    schema, rows = read_rows(tmp_path / "ticks.f64")
+    assert_same_schema(schema, SCHEMA)
+    np.testing.assert_array_equal(rows, expected(count))
 
 
 def test_a_new_row_is_empty_even_where_an_old_one_was():
@@ -93,7 +103,7 @@ def test_blocks_are_published_in_order_and_whole():
     received: list[bytes] = []
     log = RowLog(SCHEMA, publish=received.append)
     fill(log, 2 * BLOCK_ROWS + 7).close()
-    blocks = [decode_rows(data)[1] for data in received]
+    blocks = [decode_rows(data, SCHEMA)[1] for data in received]
     assert [len(block) for block in blocks] == [BLOCK_ROWS, BLOCK_ROWS, 7]
     np.testing.assert_array_equal(np.vstack(blocks), expected(2 * BLOCK_ROWS + 7))
 
@@ -115,13 +125,13 @@ def test_filling_rows_does_not_wait_for_whoever_is_published_to():
 
 @given(
     widths=st.lists(st.integers(1, 5), min_size=1, max_size=6),
-    count=st.integers(0, 20),
+    count=st.integers(1, 20),
     seed=st.integers(0, 99),
 )
 def test_blocks_arrive_to_the_last_bit_with_their_schema(widths, count, seed):
     schema = Schema(*(Column(f"c{k}", width) for k, width in enumerate(widths)))
     rows = np.random.default_rng(seed).standard_normal((count, schema.width))
-    arrived, values = decode_rows(encode_rows(schema, rows))
+    arrived, values = decode_rows(encode_rows(schema, rows), SCHEMA, schema)
     assert_same_schema(arrived, schema)
     np.testing.assert_array_equal(values, rows)
 
@@ -130,7 +140,7 @@ def test_blocks_arrive_to_the_last_bit_with_their_schema(widths, count, seed):
 @given(data=st.binary(max_size=100))
 def test_garbage_is_no_telemetry_block(data):
     with pytest.raises(ValueError, match="not a telemetry block"):
-        decode_rows(data)
+        decode_rows(data, SCHEMA)
 
 
 @pytest.mark.parametrize(
@@ -150,12 +160,49 @@ def test_garbage_is_no_telemetry_block(data):
         {"columns": [[[], 1]], "rows": bytes(8)},
         {"columns": [["a"]], "rows": "text"},
         {"columns": 3, "rows": bytes(8)},
+        {"columns": [["a", 1, "float64"]], "rows": b""},
+        {"columns": [["b", 1, "float64"]], "rows": bytes(8)},
     ],
     ids=str,
 )
 def test_a_block_of_another_shape_is_refused(block):
     with pytest.raises(ValueError, match="not a telemetry block"):
-        decode_rows(msgpack.packb(block))
+        decode_rows(msgpack.packb(block), Schema(Column("a")))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"garbage", b"7\n", b"[]\n", b'[["a", 0]]\n', b'[["a", "b"]]\n', b"[[1, 2", b"\xff\n"],
+)
+def test_another_file_is_not_one_of_rows(tmp_path, data):
+    (tmp_path / "x").write_bytes(data)
+    with pytest.raises(ValueError, match="expected the rows of a run"):
+        read_rows(tmp_path / "x")
+
+
+def test_rows_give_way_to_other_files(tmp_path):
+    log = fill(RowLog(SCHEMA, path=tmp_path / "x"), 50)
+    log.close()
+    log.give_way(8 * SCHEMA.width * 20)
+    np.testing.assert_array_equal(log.rows(), expected(30))
+    log.give_way(10**6)
+    assert len(log.rows()) == 0
+
+
+def test_an_error_of_a_watcher_does_not_end_the_file(tmp_path):
+    def publish(data: bytes) -> None:
+        raise RuntimeError("the session is closed")
+
+    log = fill(RowLog(SCHEMA, path=tmp_path / "x", publish=publish), 3 * BLOCK_ROWS)
+    log.close()
+    np.testing.assert_array_equal(log.rows(), expected(3 * BLOCK_ROWS))
+
+
+def test_a_file_is_locked_while_its_rows_are_written(tmp_path):
+    log = RowLog(SCHEMA, path=tmp_path / "x")
+    assert is_locked(tmp_path / "x")
+    log.close()
+    assert not is_locked(tmp_path / "x")
 
 
 def test_chunks_are_bounded_and_leave_nothing_out():
@@ -207,7 +254,7 @@ def test_a_file_that_is_full_takes_no_more_rows_and_watchers_see_them_all(tmp_pa
     log = RowLog(SCHEMA, path=tmp_path / "x", publish=received.append, at_most=at_most)
     fill(log, count).close()
     np.testing.assert_array_equal(log.rows(), expected(count)[:at_most])
-    blocks = [decode_rows(data)[1] for data in received]
+    blocks = [decode_rows(data, SCHEMA)[1] for data in received]
     np.testing.assert_array_equal(np.vstack(blocks), expected(count))
 
 
@@ -219,13 +266,13 @@ def test_rows_that_cannot_be_written_are_watched_and_the_reason_is_kept(tmp_path
     assert log.failure is not None
     assert log.failure.errno == errno.ENOSPC
     assert len(log.rows()) == 0
-    assert sum(len(decode_rows(data)[1]) for data in received) == 2 * BLOCK_ROWS + 7
+    assert sum(len(decode_rows(data, SCHEMA)[1]) for data in received) == 2 * BLOCK_ROWS + 7
 
 
 def test_a_row_that_was_written_in_part_is_none(tmp_path):
     log = fill(RowLog(SCHEMA, path=tmp_path / "x"), 5)
     log.close()
-    os.truncate(tmp_path / "x", 3 * 8 * SCHEMA.width + 1)
+    os.truncate(tmp_path / "x", (tmp_path / "x").stat().st_size - 2 * 8 * SCHEMA.width + 1)
     np.testing.assert_array_equal(log.rows(), expected(3))
 
 
