@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from deploy.background.registry import registry_folder
-from deploy.background.state import StackFolder
+from deploy.background.state import READY, ServiceState, StackFolder
 from shared.process.entry import python
-from tests.processes import ROOT, Process, descendants_naming, played, until
+from tests.processes import ROOT, Process, descendants_naming, played, rows_in, until
 
 pytestmark = pytest.mark.live
 
@@ -158,3 +158,56 @@ def test_a_busy_port_is_one_line_and_a_killed_supervisor_leaves_no_orphan(
     assert message("down").returncode == 2
     (run / "stack/control").unlink()
     assert_nothing_is_left(run, [int(port)])
+
+
+def test_an_edge_that_crashes_again_and_again_is_degraded_and_the_robot_stands(
+    tmp_path: Path,
+) -> None:
+    run = tmp_path / "run"
+    started = up(*QUIET, "--network", "direct", "--duration", "3600", "--out", str(run))
+    assert started.returncode == 0, started.stdout + started.stderr
+    stack = StackFolder(run)
+
+    def edge() -> ServiceState:
+        return stack.read().services[0]
+
+    for crashes in range(4):
+        until(lambda: edge().state == READY, lambda: message("logs").stdout)
+        assert edge().restarts == crashes
+        os.kill(edge().pid, signal.SIGKILL)
+        until(lambda: edge().state != READY, lambda: message("logs").stdout)
+    until(lambda: edge().degraded, lambda: message("logs").stdout)
+    shown = message("ps").stdout
+    assert "ready (edge degraded) since" in shown
+    until(lambda: edge().state == READY, lambda: message("logs").stdout)
+    assert message("down").returncode == 0
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["fell"] is False
+    assert summary["services"]["edge"]["restarts"] == 4
+    assert summary["services"]["edge"]["degraded_seconds"] >= 1.0
+    assert "edge started again 4 ×, degraded for" in message("logs").stdout
+    # Four lives were killed, and their rows count too.
+    assert {f"edge.{number}.parquet" for number in range(1, 5)} <= {
+        file.name for file in run.glob("edge.*.parquet")
+    }
+    assert_nothing_is_left(run, [])
+
+
+def test_a_run_that_is_killed_as_a_whole_is_summed_up_by_the_next_command(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    started = up(*QUIET, "--network", "constant:10ms", "--duration", "3600", "--out", str(run))
+    assert started.returncode == 0, started.stdout + started.stderr
+    until(lambda: rows_in(run / "telemetry.rows") > 500, lambda: message("logs").stdout)
+    state = StackFolder(run).read()
+    # Before the services hear of it.
+    for pid in (*(service.pid for service in state.services), state.pid):
+        os.kill(pid, signal.SIGKILL)
+    until_nobody_names(run)
+    shown = message("ps").stdout
+    assert re.search(r"its supervisor was killed; Killed after \d+\.\d\d s of balance", shown), shown
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["task_seconds"] > 0.0
+    assert (run / "telemetry.parquet").exists()
+    assert not list(run.glob("*.rows"))
+    assert message("down").returncode == 2
+    assert played(*python("-m", "viewer", "record", str(run))).returncode == 0

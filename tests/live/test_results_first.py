@@ -17,9 +17,8 @@ from netem.networks import load_profile
 from netem.profile import LOST
 from shared.errors import UserError
 from shared.telemetry.parquet import parquet_shape, read_parquet
-from shared.telemetry.row_log import read_rows
 from tests.live.conftest import free_endpoints
-from tests.processes import Process, until
+from tests.processes import Process, rows_in, until
 
 pytestmark = pytest.mark.live
 
@@ -48,14 +47,6 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         pytest.skip(f"no disk of limited size: {made.stderr.strip()}")
     yield disk
     subprocess.run(("umount", "--lazy", str(disk)), check=True)
-
-
-def rows_in(file: Path) -> int:
-    """The number of rows that a process has written so far."""
-    try:
-        return len(read_rows(file)[1])
-    except (OSError, ValueError):
-        return 0
 
 
 def begin(start: Start, out: Path, *robot: str) -> tuple[Process, Process]:
