@@ -7,11 +7,12 @@ certificates. No other machine needs it.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import ipaddress
 import os
 import re
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -31,12 +32,14 @@ from shared.bus.security import (
     robot_role,
 )
 from shared.config.settings import RobotConfig
-from shared.errors import ConfigError
+from shared.errors import ConfigError, writing
 from shared.process.cli import EXIT_STANDING
+from shared.regular_file import read_regular
 
 LISTENERS = (EDGE, NETEM, ROUTER)
 THIS_MACHINE = ("localhost", "127.0.0.1", "::1")
 _AUTHORITY_DAYS, _DAYS = 3650, 825
+_MAX_BYTES = 1_000_000
 _HOST = re.compile(
     r"(?=.{1,253}$)([a-z0-9_]([a-z0-9_-]{0,61}[a-z0-9])?)(\.[a-z0-9_-]{1,63})*", re.I
 )
@@ -122,9 +125,10 @@ def make(
                 "another folder, or use --add to make the missing certificates with its authority"
             )
         authority = _new_authority(now)
-        _write(folder, AUTHORITY, authority)
+    made = {} if add else {AUTHORITY: authority}
     for role in roles:
-        _write(folder, role, _issue(authority, role, names if role in LISTENERS else [role], now))
+        made[role] = _issue(authority, role, names if role in LISTENERS else [role], now)
+    _write(folder, made)
     return roles
 
 
@@ -232,12 +236,12 @@ def _files_of(folder: Path, role: str) -> list[Path]:
 def _load_authority(folder: Path) -> Signer:
     certificate, key = certificate_file(folder, AUTHORITY), key_file(folder, AUTHORITY)
     try:
-        loaded = serialization.load_pem_private_key(key.read_bytes(), password=None)
-        signer = x509.load_pem_x509_certificate(certificate.read_bytes())
+        loaded = serialization.load_pem_private_key(_read(key), password=None)
+        signer = x509.load_pem_x509_certificate(_read(certificate))
     except OSError as error:
         raise ConfigError(
-            f"keys: cannot read {error.filename}: {error.strerror}; --add needs the folder of an "
-            "authority; leave --add out to make a new authority"
+            f"keys: cannot read {error.filename or folder}: {error.strerror}; --add needs the "
+            "folder of an authority; leave --add out to make a new authority"
         ) from None
     except (ValueError, TypeError):
         raise ConfigError(
@@ -252,25 +256,41 @@ def _load_authority(folder: Path) -> Signer:
     return Signer(signer, loaded)
 
 
-def _write(folder: Path, role: str, made: Signer) -> None:
-    private = made.key.private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
-    )
-    public = made.certificate.public_bytes(serialization.Encoding.PEM)
+def _write(folder: Path, made: Mapping[str, Signer]) -> None:
+    """Write the files of all roles, or none."""
+    created: list[Path] = []
+    new = not folder.exists()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _create(key_file(folder, role), private, mode=0o600)
-        _create(certificate_file(folder, role), public, mode=0o644)
-    except OSError as error:
-        raise ConfigError(f"keys: cannot write {error.filename}: {error.strerror}") from None
+        with writing(folder, what="keys"):
+            folder.mkdir(parents=True, exist_ok=True)
+            for role, signer in made.items():
+                private = signer.key.private_bytes(
+                    serialization.Encoding.PEM,
+                    serialization.PrivateFormat.PKCS8,
+                    serialization.NoEncryption(),
+                )
+                public = signer.certificate.public_bytes(serialization.Encoding.PEM)
+                _create(key_file(folder, role), private, mode=0o600, created=created)
+                _create(certificate_file(folder, role), public, mode=0o644, created=created)
+    except ConfigError:
+        for path in created:
+            path.unlink(missing_ok=True)
+        if new:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise
 
 
-def _create(path: Path, data: bytes, *, mode: int) -> None:
+def _create(path: Path, data: bytes, *, mode: int, created: list[Path]) -> None:
     """Create a file that does not exist yet, with the permissions `mode` from the start."""
-    with os.fdopen(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode), "wb") as file:
+    descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode)
+    created.append(path)
+    with os.fdopen(descriptor, "wb") as file:
         file.write(data)
+
+
+def _read(path: Path) -> bytes:
+    return read_regular(path, at_most=_MAX_BYTES)
 
 
 def _in_words(folder: Path, roles: Sequence[str], *, hosts: Sequence[str]) -> str:

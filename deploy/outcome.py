@@ -164,6 +164,8 @@ def _robot_from_rows(rows: _Rows) -> dict[str, Any]:
         received=None,
         lost=None,
         refused=None,
+        answers=None,
+        sensor_faults=None,
     )
 
 

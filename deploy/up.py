@@ -36,7 +36,7 @@ from shared.commands import wbc
 from shared.config.config_file import dump_config
 from shared.config.extensions import CONTROLLERS, TASKS
 from shared.config.settings import RunConfig, extended
-from shared.errors import ConfigError, LinkError
+from shared.errors import ConfigError, LinkError, writing
 from shared.motion.plan import make_motion
 from shared.output.screen import has_screen
 from shared.output.versions import versions
@@ -80,7 +80,7 @@ def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd:
     )
     view = _resolve_view(config.view) if VIEWER in services else "off"
     plan = make_plan(options, chosen, view=view, free_port=iter(_free_ports(2)).__next__)
-    robot = arguments.name or config.robot.name
+    robot = config.robot.name if arguments.name is None else arguments.name
     check_credentials(plan, robot=robot)
     _check_port(plan)
     if arguments.detach:
@@ -141,14 +141,12 @@ def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) 
         what = f"{TASKS.label(config.task)}-{controller}-{network}"
         stamp = time.strftime("%Y%m%d-%H%M%S")
         out = Path("runs") / f"{stamp}-{what if ROBOT in services else '-'.join(services)}"
-    try:
+    with writing(out, what="out"):
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise ConfigError(f"out: expected a new or empty folder, {out} has files in it")
         text = dump_config(config, versions=versions())
         (out / "config.toml").write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
     return out
 
 

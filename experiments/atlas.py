@@ -29,7 +29,7 @@ from shared.config.config_file import load_config
 from shared.config.extensions import CONTROLLERS, TASKS
 from shared.config.quantities import parse_duration_ns, parse_push
 from shared.config.settings import RunConfig
-from shared.errors import ConfigError
+from shared.errors import ConfigError, writing
 from shared.output.text_table import aligned
 from shared.process.cli import EXIT_STANDING
 from shared.robots import load_robot
@@ -79,13 +79,11 @@ def run_atlas(arguments: argparse.Namespace) -> int:
     text = in_words(squares)
     shown = [_shown(row) for row in rows]
     picture = out / "atlas.png"
-    draw_figure(shown, [FELL], x=DELAY, by=PUSH, panels="controller", as_map=True, out=picture)
-    try:
-        pq.write_table(pa.Table.from_pylist(squares), out / "atlas.parquet")
-        (out / "atlas.txt").write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
     print(text)
+    with writing(out, what="out"):
+        (out / "atlas.txt").write_text(text + "\n", encoding="utf-8")
+        pq.write_table(pa.Table.from_pylist(squares), out / "atlas.parquet")
+    draw_figure(shown, [FELL], x=DELAY, by=PUSH, panels="controller", as_map=True, out=picture)
     errors = [row["error"] for row in rows if row["error"] is not None]
     if errors:
         print(f"trials ended with an error: {len(errors)}; the first: {errors[0]}")

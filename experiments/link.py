@@ -25,7 +25,7 @@ from netem.profile import DIRECTIONS, DelayProfile
 from netem.statistics import delays_ms, outages
 from shared.config.extensions import CONTROLLERS
 from shared.config.quantities import parse_push
-from shared.errors import ConfigError
+from shared.errors import ConfigError, writing
 from shared.output.figure import save_figure
 from shared.output.text_table import aligned
 from shared.process.cli import EXIT_STANDING
@@ -99,12 +99,11 @@ def run_link(arguments: argparse.Namespace) -> int:
     rows = [{**row, "start": starts[row["cell"]]} for row in played]
     text = "\n".join([*verdicts(rows, profile, found), "", *table(rows, found)])
     picture = out / "link.png"
-    draw(rows, profile, picture)
-    try:
+    print(text)
+    with writing(out, what="out"):
         (out / "link.txt").write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
-    print(f"{text}\n{picture}")
+    draw(rows, profile, picture)
+    print(picture)
     return EXIT_STANDING
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from experiments.lockstep import Lockstep, TrialResult
 from shared.config.config_file import dump_config
 from shared.config.settings import RunConfig
-from shared.errors import ConfigError
+from shared.errors import writing
 from shared.output.report import summary_in_words
 from shared.output.versions import versions
 from shared.process.cli import EXIT_FELL, EXIT_STANDING, add_run_arguments, config_from
@@ -30,19 +30,22 @@ def add_trial_arguments(parser: argparse.ArgumentParser) -> None:
 def run_trial(arguments: argparse.Namespace) -> int:
     """Play one trial. Return 0 if the robot stood, 3 if it fell."""
     config = config_from(arguments)
+    if arguments.out is not None:
+        with writing(arguments.out, what="out"):
+            arguments.out.mkdir(parents=True, exist_ok=True)
     result = Lockstep(config).run()
     text = json.dumps(result.summary, indent=2) + "\n"
-    try:
-        if arguments.out is not None:
-            write_run(arguments.out, config, result)
-        if arguments.json not in (None, "-"):
-            Path(arguments.json).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"cannot write {error.filename}: {error.strerror}") from None
+    # First, because a full disk should not hide the outcome.
     if arguments.json == "-":
         sys.stdout.write(text)
     else:
         print(summary_in_words(result.summary))
+    if arguments.json not in (None, "-"):
+        with writing(Path(arguments.json), what="json"):
+            Path(arguments.json).write_text(text, encoding="utf-8")
+    if arguments.out is not None:
+        with writing(arguments.out, what="out"):
+            write_run(arguments.out, config, result)
     return EXIT_FELL if result.summary["fell"] else EXIT_STANDING
 
 

@@ -9,6 +9,7 @@ import contextlib
 import csv
 import io
 import json
+import math
 import os
 import tokenize
 import zipfile
@@ -22,8 +23,17 @@ import numpy as np
 from netem.profile import DIRECTIONS, LOST, MAX_DELAY_MS, PERIOD_NS, DelayProfile
 from shared.commands import wbc
 from shared.errors import ProfileError
+from shared.regular_file import open_regular, read_regular
 
 CSV_HEADER = ("uplink_ms", "downlink_ms")
+# Five and a half hours in periods of 1 ms.
+_MAX_PERIODS = 20_000_000
+_MAX_ARRAY_BYTES = 8 * _MAX_PERIODS + 1024
+_MAX_BYTES = 500_000_000
+_READ_HEADER = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 
 
 def is_file(path: Path) -> bool:
@@ -66,8 +76,9 @@ def write_profile(profile: DelayProfile, path: Path) -> None:
 
 def _read_npz(path: Path, name: str) -> DelayProfile:
     try:
-        # Opened here: numpy leaves a file open that it cannot read.
-        with path.open("rb") as file, np.load(io.BytesIO(file.read())) as archive:
+        data = io.BytesIO(read_regular(path, at_most=_MAX_BYTES))
+        _check_claims(data)
+        with np.load(data) as archive:
             arrays = {key: np.asarray(archive[key]) for key in archive.files}
         ways = [arrays.pop(f"{way}_us") for way in DIRECTIONS]
         metadata = json.loads(str(arrays.pop("meta"))) if "meta" in arrays else {}
@@ -102,6 +113,28 @@ def _read_npz(path: Path, name: str) -> DelayProfile:
     return _checked(path, name, delays_ns, metadata, arrays)
 
 
+def _check_claims(data: io.BytesIO) -> None:
+    """Check the sizes that an archive and its arrays claim, before memory is taken for them.
+
+    Raise `ValueError` if an array has more values than a profile may have, or more than its bytes.
+    """
+    with zipfile.ZipFile(data) as archive:
+        for info in archive.infolist():
+            with archive.open(info) as member:
+                version = np.lib.format.read_magic(member)
+                read = _READ_HEADER.get(version)
+                if read is None:
+                    raise ValueError(f"{info.filename}: unknown version {version} of an array")
+                shape, _, kind = read(member)
+                n_bytes = math.prod(shape) * kind.itemsize
+                if n_bytes > info.file_size or info.file_size > _MAX_ARRAY_BYTES:
+                    raise ValueError(
+                        f"{info.filename} claims {n_bytes:.4g} bytes and has {info.file_size:.4g}; "
+                        f"expected as many, and at most {_MAX_ARRAY_BYTES:.4g}"
+                    )
+    data.seek(0)
+
+
 def _write_npz(profile: DelayProfile, path: Path) -> None:
     delays_us = np.where(profile.delays_ns == LOST, LOST, np.rint(profile.delays_ns / 1000))
     arrays: dict[str, Any] = {
@@ -119,7 +152,7 @@ def _read_csv(path: Path, name: str) -> DelayProfile:
     rows: list[tuple[int, int]] = []
     further: list[list[float]] = []
     header: list[str] = []
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    with io.TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(file)
         try:
             for cells in reader:
@@ -129,6 +162,10 @@ def _read_csv(path: Path, name: str) -> DelayProfile:
                 elif not header:
                     header = _csv_header(path, reader.line_num, cells)
                 elif cells:
+                    if len(rows) == _MAX_PERIODS:
+                        raise ProfileError(
+                            f"profile {path}: expected at most {_MAX_PERIODS} periods, got more"
+                        )
                     if len(cells) != len(header):
                         raise ProfileError(
                             f"profile {path}, line {reader.line_num}: expected {len(header)} "

@@ -7,8 +7,10 @@ dropped.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 
 class UserError(Exception):
@@ -17,6 +19,20 @@ class UserError(Exception):
 
 class ConfigError(UserError):
     """A configuration file, flag or value that cannot be used."""
+
+
+@contextlib.contextmanager
+def writing(place: Path, *, what: str) -> Iterator[None]:
+    """Raise a `ConfigError`, which begins with `what`, for a file that cannot be written.
+
+    It names the file, or `place` if the system does not say which file it is.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(
+            f"{what}: cannot write {error.filename or place}: {error.strerror or error}"
+        ) from None
 
 
 class ProfileError(UserError):

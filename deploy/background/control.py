@@ -26,6 +26,7 @@ from deploy.background.state import (
 )
 from deploy.console.terminal import Terminal, service_line
 from deploy.services import load_services
+from shared.bus.security import robot_name
 from shared.commands import wbc
 from shared.errors import ConfigError, LinkError, one_of
 from shared.process.cli import EXIT_STANDING
@@ -40,7 +41,7 @@ Found = list[tuple[StackFolder, StackState]]
 
 def add_ps_arguments(parser: argparse.ArgumentParser) -> None:
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--name", help="only the stack of the robot with this name")
+    which.add_argument("--name", type=robot_name, help="only the stack of the robot with this name")
     which.add_argument("--run", metavar="DIR", type=Path, help="the stack of this run's folder")
 
 

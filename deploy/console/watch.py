@@ -26,7 +26,7 @@ from deploy.outcome import STEMS, SUMMARY, set_aside, summarise
 from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
 from shared.config.settings import RunConfig
-from shared.errors import ConfigError, LinkError
+from shared.errors import LinkError, writing
 from shared.output.report import summary_in_words
 from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
 from shared.process.service import StopSignal
@@ -79,13 +79,11 @@ def main() -> int:
 
 def _put_away(out: Path, config: RunConfig) -> None:
     """Put the files of an earlier run away. If it was killed, sum it up before."""
-    try:
+    with writing(out, what="out"):
         if not (out / SUMMARY).exists() and any(lives(out, stem) for stem in STEMS):
             print("the run before was killed:", flush=True)
             _sum_up(out, config)
         set_aside(out)
-    except OSError as error:
-        raise ConfigError(f"out: cannot write {error.filename or out}: {error.strerror}") from None
 
 
 def _sum_up(out: Path, config: RunConfig) -> None:

@@ -20,7 +20,7 @@ from experiments.reproduction.results import FIGURE_FOLDER, Results
 from experiments.reproduction.run import DEFAULT_OUT
 from experiments.reproduction.sections import SECTIONS, STUDIES
 from experiments.reproduction.verdict import RULE, Verdict
-from shared.errors import ConfigError
+from shared.errors import ConfigError, writing
 from shared.process.cli import EXIT_STANDING
 
 _KEPT = ("study.toml", "trials.parquet", "about.json")
@@ -62,12 +62,10 @@ def run_report(arguments: argparse.Namespace) -> int:
         )
     found = claims(results)
     page = arguments.docs / "results.md"
-    try:
+    with writing(arguments.docs, what="docs"):
         arguments.docs.mkdir(parents=True, exist_ok=True)
         page.write_text(report_text(results, found), encoding="utf-8")
         _copy(results, arguments.docs)
-    except OSError as error:
-        raise ConfigError(f"docs: cannot write {error.filename}: {error.strerror}") from None
     for claim in found:
         print(claim)
     print(page)

@@ -21,7 +21,7 @@ from experiments.studies.code_identity import code_version
 from experiments.studies.study_file import read_study
 from experiments.studies.sweep import sweep, workers_from
 from shared.commands import wbc
-from shared.errors import ConfigError, one_of
+from shared.errors import ConfigError, one_of, writing
 from shared.process.cli import EXIT_STANDING
 
 ALL = "all"
@@ -55,9 +55,8 @@ def run_reproduction(arguments: argparse.Namespace) -> int:
     workers_from(arguments.workers)  # an invalid number is an error before any trial is played
     out = arguments.out or (QUICK_OUT if arguments.quick else DEFAULT_OUT)
     try:
-        _run(names, out, arguments)
-    except OSError as error:
-        raise ConfigError(f"out: cannot write {error.filename}: {error.strerror}") from None
+        with writing(out, what="out"):
+            _run(names, out, arguments)
     except KeyboardInterrupt:
         print("interrupted; the same command continues", file=sys.stderr)
         raise

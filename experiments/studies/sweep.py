@@ -150,7 +150,7 @@ def sweep(
             (out / "about.json").write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         where = error.filename or out
-        raise ConfigError(f"out: cannot write {where}: {error.strerror}") from None
+        raise ConfigError(f"out: cannot write {where}: {error.strerror or error}") from None
     except KeyboardInterrupt:
         print(f"interrupted; the same command continues in {out}", file=sys.stderr)
         raise

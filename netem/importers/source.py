@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from shared.errors import ProfileError
+from shared.regular_file import open_regular
 
 MAX_RECORDS = 20_000_000
 _MAX_LINE = 1 << 16
@@ -31,7 +32,7 @@ _BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xb
 def opened(path: Path) -> Iterator[io.BufferedReader | gzip.GzipFile]:
     """The file's bytes, unzipped if it is gzipped."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             if file.peek(2)[:2] == _GZIP:
                 with gzip.GzipFile(fileobj=file) as unzipped:
                     yield unzipped

@@ -232,5 +232,5 @@ def _writable(out: Path | None) -> Path:
         trial.write_bytes(b"")
         trial.unlink(missing_ok=True)  # another recorder may have tried the same name
     except OSError as error:
-        raise ConfigError(f"out: cannot write {out}: {error.strerror}") from None
+        raise ConfigError(f"out: cannot write {out}: {error.strerror or error}") from None
     return out

@@ -13,7 +13,9 @@ from cryptography.x509.oid import NameOID
 from shared.bus.security import AUTHORITY, certificate_file, key_file
 from shared.commands import wbc
 from shared.errors import ConfigError
+from shared.regular_file import read_regular
 
+_MAX_BYTES = 1_000_000
 _REMEDY = "copy it from where `wbc keys` made it"
 
 
@@ -69,7 +71,7 @@ def _load_certificate(path: Path) -> x509.Certificate:
 
 def _read(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_regular(path, at_most=_MAX_BYTES)
     except FileNotFoundError:
         raise ConfigError(f"secure: {path.parent} has no {path.name}; {_REMEDY}") from None
     except OSError as error:

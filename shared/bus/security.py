@@ -38,6 +38,12 @@ def key_file(folder: Path, role: str) -> Path:
     return folder / f"{role}.key"
 
 
+def robot_name(name: str) -> str:
+    """Return the name of a robot; raise `ConfigError` if it cannot be part of a key."""
+    robot_role(name)
+    return name
+
+
 def robot_role(name: str) -> str:
     """Return the role of a robot; raise `ConfigError` if its name cannot be part of a key."""
     if not _NAME.fullmatch(name):

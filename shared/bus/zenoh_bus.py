@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+import resource
 import threading
 import time
 import zlib
@@ -38,6 +39,11 @@ _SMALL_MESSAGE = 1_000
 _SMALL_SEND_BUFFER, _SEND_BUFFER, _LOCAL_SEND_BUFFER = 32_768, 131_072, 262_144
 # A robot that has lost its edge cannot wait for Zenoh's four seconds between two attempts.
 _RETRY = {"period_init_ms": 200, "period_max_ms": 500, "period_increase_factor": 2}
+# A stack of five services needs about half of these.
+_LIMITS = (
+    (resource.RLIMIT_NOFILE, 100, 1, "open files", "ulimit -n 1024"),
+    (resource.RLIMIT_AS, 2 << 30, 1 << 30, "GiB of address space", "ulimit -v unlimited"),
+)
 # A healthy session closes within 0.1 s.
 _CLOSE_SECONDS = 1.0
 # Long enough for a TLS handshake over a link that stalls. Between attempts, a stop signal is seen.
@@ -74,6 +80,7 @@ class ZenohBus:
     ) -> None:
         for endpoint in (*listen, *connect):
             parse_endpoint(endpoint, secured=credentials is not None)
+        _check_limits()
         batches, send_buffer = _buffers(largest)
         config = zenoh.Config()
         for key, value in {
@@ -205,6 +212,17 @@ class ZenohPublisher:
             delivery.data, attachment=None if envelope is None else envelope.encode()
         )
         self.sent += 1
+
+
+def _check_limits() -> None:
+    """Raise `LinkError` if this process may not open what a session needs, which ends in a hang."""
+    for limit, least, unit, name, remedy in _LIMITS:
+        allowed, _ = resource.getrlimit(limit)
+        if allowed != resource.RLIM_INFINITY and allowed < least:
+            raise LinkError(
+                f"expected a limit of at least {least / unit:g} {name}, it is {allowed / unit:g}; "
+                f"raise it: {remedy}"
+            )
 
 
 def _buffers(largest: int | None) -> tuple[int, int]:

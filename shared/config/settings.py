@@ -211,7 +211,7 @@ class WalkConfig:
     5 ms in the paper. `dcm` plans the CoM in closed form, `mpc` by model predictive control.
     """
 
-    steps: int = setting(6, help="number of steps", at_least=1, flag="--steps")
+    steps: int = setting(6, help="number of steps", at_least=1, at_most=1000, flag="--steps")
     step_length: float = setting(
         0.1, help="length of a step, negative: backward", unit="m", flag="--step-length"
     )

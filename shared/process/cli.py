@@ -255,11 +255,20 @@ def run(main: Callable[[], int]) -> NoReturn:
         _give_up_output()
         code = EXIT_ERROR
     except OSError as error:
-        # Errors of files have become user errors by now. This one is of the output itself.
-        if error.filename is not None or error.errno not in _OUTPUT_ERRORS:
-            raise
-        _give_up_output()
-        print(f"error: cannot write to standard output: {error.strerror}", file=sys.stderr)
+        # A command makes user errors of those that it expects. The rest is of the machine.
+        if error.filename is None and error.errno in _OUTPUT_ERRORS:
+            _give_up_output()
+            text = f"cannot write to standard output: {error.strerror}"
+        else:
+            text = f"{error.filename or 'the system refuses'}: {error.strerror or error}"
+        print(f"error: {text}", file=sys.stderr)
+        code = EXIT_ERROR
+    except MemoryError:
+        print(
+            "error: expected more memory than this process may have; end other programs, raise "
+            "ulimit -v, or try less (a shorter run, a smaller file)",
+            file=sys.stderr,
+        )
         code = EXIT_ERROR
     if any(thread.name == CLOSING for thread in threading.enumerate()):
         # Python would wait for this thread, or abort in it.

@@ -78,6 +78,7 @@ def add_identity_arguments(parser: argparse._ActionsContainer) -> None:
     """Add the options for a robot's name and the certificates to a parser or a group."""
     parser.add_argument(
         "--name",
+        type=_names,
         help="the robot's name on the link, to tell several robots of a kind apart; amy,bob for an "
         "edge that serves both",
     )
@@ -121,6 +122,11 @@ def names_on_the_link(text: str) -> tuple[str, ...]:
     return names
 
 
+def _names(text: str) -> str:
+    names_on_the_link(text)
+    return text
+
+
 def identity_from(
     arguments: argparse.Namespace, *, role: str | None, kind: str, several: bool = False
 ) -> Identity:
@@ -129,7 +135,7 @@ def identity_from(
     The robot's name is that of its `kind`, unless --name gives another; with `several`, it may give
     more than one.
     """
-    name: str = arguments.name or kind
+    name: str = kind if arguments.name is None else arguments.name
     robots = names_on_the_link(name) if several else (name,)
     robots_role = robot_role(robots[0])
     if arguments.secure is None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import ipaddress
 import os
 import stat
@@ -10,6 +11,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from deploy import keys
 from deploy.keys import make
 from shared.errors import ConfigError
 from shared.process.entry import python
@@ -144,3 +146,28 @@ def test_the_command_says_what_belongs_where_and_what_must_stay(tmp_path: Path):
     again = played(*command)
     assert again.returncode == 2
     assert again.stderr.count("\n") == 1
+
+
+def test_a_disk_that_becomes_full_leaves_no_half_made_keys(tmp_path: Path, monkeypatch):
+    create = keys._create
+
+    def full(path: Path, data: bytes, *, mode: int, created: list[Path]) -> None:
+        create(path, data[:10], mode=mode, created=created)
+        if path.name == "router.crt":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(keys, "_create", full)
+    with pytest.raises(ConfigError, match=rf"keys: cannot write {tmp_path}/keys: No space left"):
+        make(tmp_path / "keys", robots=["romeo"])
+    assert not (tmp_path / "keys").exists()
+    monkeypatch.undo()
+    make(tmp_path / "keys", robots=["romeo"])
+    monkeypatch.setattr(keys, "_create", full)
+    before = sorted((tmp_path / "keys").iterdir())
+    for file in (tmp_path / "keys").glob("router.*"):
+        file.unlink()
+    with pytest.raises(ConfigError, match="No space left"):
+        make(tmp_path / "keys", robots=["romeo"], add=True)
+    # The keys of the others are still there.
+    left = [file for file in before if file.stem != "router"]
+    assert sorted((tmp_path / "keys").iterdir()) == left

@@ -204,7 +204,9 @@ def test_a_run_that_is_killed_as_a_whole_is_summed_up_by_the_next_command(tmp_pa
         os.kill(pid, signal.SIGKILL)
     until_nobody_names(run)
     shown = message("ps").stdout
-    assert re.search(r"its supervisor was killed; Killed after \d+\.\d\d s of balance", shown), shown
+    assert re.search(r"its supervisor was killed; Killed after \d+\.\d\d s of balance", shown), (
+        shown
+    )
     summary = json.loads((run / "summary.json").read_text())
     assert summary["task_seconds"] > 0.0
     assert (run / "telemetry.parquet").exists()
