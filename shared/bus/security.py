@@ -6,7 +6,7 @@ then send and receive. A message without a grant is refused, both by the process
 and by the process that would send it.
 
 The files are in one folder, made by `deploy/keys`: `ca.crt`, `ROLE.crt`, `ROLE.key`. The telemetry
-hub has no access rules: it is on loopback and controls nothing.
+hub has no access rules: it is a socket of this user alone, and controls nothing.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The files of a service in the folder of a run: one set for each life of its process.
 
-STEM.rows                   the rows of a process that runs, or that was killed
-STEM.parquet, STEM.json     the rows and the report of a process that has ended
-STEM.1.…, STEM.2.…          the same of the first life, of the second …, when a later one began
+The rows of a process that runs, or that was killed, are in `STEM.rows`. A process that ends leaves
+`STEM.parquet`, its rows, and `STEM.json`, its report. Before the next process writes, these files
+get the number of their life: `STEM.1.parquet`, `STEM.2.parquet` and so on.
 """
 
 from __future__ import annotations
