@@ -6,14 +6,13 @@ falls behind, the oldest blocks are dropped and counted.
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 
-import zenoh
-
+from shared.bus.endpoint import parse_endpoint
+from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import LinkError
 from shared.wire.channels import LINK_KEY, SOLVES_KEY, TICKS_KEY
 
@@ -48,35 +47,18 @@ class BlockQueue:
         return taken
 
 
-def connect(
-    endpoint: str, *, stopped: Callable[[], bool], timeout: float = 5.0
-) -> zenoh.Session | None:
-    """Return a client session with the hub at `endpoint`; None if `stopped` while it tried.
+def connect(endpoint: str, *, stopped: Callable[[], bool], timeout: float = 5.0) -> ZenohBus | None:
+    """Return a client of the hub at `endpoint`; None if `stopped` while it tried.
 
     Raise `LinkError` if the endpoint is malformed or no hub answers within `timeout` [s].
     """
-    config = zenoh.Config()
-    settings = {
-        "mode": "client",
-        "connect/endpoints": [endpoint],
-        "connect/timeout_ms": ATTEMPT_MS,
-        "connect/exit_on_failure": True,
-        "listen/endpoints": [],
-        "scouting/multicast/enabled": False,
-        "transport/shared_memory/enabled": False,
-    }
-    try:
-        for key, value in settings.items():
-            config.insert_json5(key, json.dumps(value))
-    except zenoh.ZError:
-        raise LinkError(
-            f"telemetry: expected an endpoint as in tcp/127.0.0.1:7450, got {endpoint!r}"
-        ) from None
+    parse_endpoint(endpoint, secured=False)
+    settings = {"connect/timeout_ms": ATTEMPT_MS, "connect/exit_on_failure": True}
     deadline = time.monotonic() + timeout
     while not stopped():
         try:
-            return zenoh.open(config)
-        except zenoh.ZError:
+            return ZenohBus(connect=[endpoint], mode="client", settings=settings)
+        except LinkError:
             if time.monotonic() > deadline:
                 raise LinkError(
                     f"telemetry: no hub answers at {endpoint}; start the run, and give the "
@@ -85,7 +67,7 @@ def connect(
     return None
 
 
-def subscribe(session: zenoh.Session, blocks: BlockQueue, *, robot: str) -> None:
-    """Feed `blocks` with the rows of a robot, the link and the edge, while `session` lives."""
+def subscribe(bus: ZenohBus, blocks: BlockQueue, *, robot: str) -> None:
+    """Feed `blocks` with the rows of a robot, the link and the edge, while `bus` is open."""
     for key in (TICKS_KEY.format(robot=robot), LINK_KEY, SOLVES_KEY):
-        session.declare_subscriber(key, lambda sample: blocks.put(sample.payload.to_bytes()))
+        bus.subscribe(key, lambda delivery: blocks.put(delivery.data))

@@ -53,13 +53,13 @@ def watch(
     file = out / "recording.rrd" if out is not None else None
     # Before the bus: its threads must not be forked into the display's child process.
     display = Display(recording, view, blueprint=layout(config, live=True), file=file)
-    session = None
+    bus = None
     drawn = _Drawn(Scene(recording, robot, config, meshes=meshes), robot, say)
     try:
-        session = connect(telemetry, stopped=stopped)
-        if session is None:
+        bus = connect(telemetry, stopped=stopped)
+        if bus is None:
             return
-        subscribe(session, blocks, robot=robot.name)
+        subscribe(bus, blocks, robot=robot.name)
         say(f"READY {display.address}")
         shown = view != "record"
         while not stopped():
@@ -72,9 +72,10 @@ def watch(
                     break
         drawn.add(blocks.take())
     finally:
-        if session is not None:
-            session.close()
+        # The recording first.
         display.close()
+        if bus is not None:
+            bus.close()
     say(
         f"{drawn.rows} rows drawn, {drawn.missing} ticks missing, "
         f"{blocks.dropped} blocks dropped when behind, {drawn.refused} blocks refused"

@@ -86,6 +86,32 @@ def test_an_edge_whose_robot_is_frozen_ends_with_its_outcome(start: Start, tmp_p
     assert parquet_shape(tmp_path / "edge.parquet")[1] > 0
 
 
+def test_a_shim_whose_edge_is_frozen_ends_with_its_outcome(start: Start, tmp_path: Path) -> None:
+    far, near = free_endpoints(2)
+    edge = start("edge_node", "--listen", far)
+    edge.wait_for("READY")
+    shim = start(
+        *("netem", "replay", "constant:4ms", "--listen", near, "--connect", far),
+        *("--out", str(tmp_path)),
+    )
+    shim.wait_for("READY")
+    robot = start(
+        *("robot_node", "--connect", near, "--controller", "lc", "--push", "none"),
+        *("--duration", "3600", "--out", str(tmp_path / "robot")),
+    )
+    robot.wait_for("the task begins")
+    edge.signal(signal.SIGSTOP)
+    # The shim waits for room towards the edge, while states wait in the shim.
+    sent = tmp_path / "robot/telemetry.rows"
+    before = rows_in(sent)
+    until(lambda: rows_in(sent) > before + 6000, lambda: robot.output)
+    shim.signal(signal.SIGTERM)
+    assert shim.wait() == 0, shim.output
+    edge.signal(signal.SIGCONT)
+    assert shim.lines[-1].startswith("stopped: "), shim.output
+    assert parquet_shape(tmp_path / "link.parquet")[1] > 500
+
+
 def test_a_recording_whose_far_end_is_frozen_keeps_what_was_measured(
     start: Start, tmp_path: Path
 ) -> None:

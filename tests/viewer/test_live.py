@@ -47,7 +47,7 @@ def test_a_missing_hub_is_one_line_that_names_the_endpoint() -> None:
 
 
 def test_a_malformed_endpoint_is_told_by_example() -> None:
-    with pytest.raises(LinkError, match="expected an endpoint as in tcp/"):
+    with pytest.raises(LinkError, match=r"expected PROTOCOL/HOST:PORT as in tcp/"):
         connect("nonsense", stopped=lambda: False)
 
 
