@@ -315,7 +315,14 @@ class Supervisor:
         assert child.process.stdout is not None
         name, ready = child.name, child.launch.service.ready
         with LineFile(self._folder / f"{name}.log") as log:
-            async for raw in child.process.stdout:
+            while True:
+                try:
+                    raw = await child.process.stdout.readline()
+                except ValueError:
+                    # The line is longer than the reader's buffer, which is empty now.
+                    continue
+                if not raw:
+                    break
                 line = raw.decode(errors="replace").rstrip()
                 log.add(line)
                 if line.startswith(ready):

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from deploy.background.state import StackFolder, StackState, open_private, private_folder
 from shared.commands import CHECKOUT, wbc
-from shared.errors import ConfigError
+from shared.errors import ConfigError, writing
 from shared.file_lock import lock
 
 _LOCK_SECONDS = 10.0
@@ -47,7 +47,7 @@ class Registry:
 
     def add(self, run: Path, *, robot: str, services: tuple[str, ...]) -> None:
         """Add a stack, after a `check`. The stack already holds the lock of its folder."""
-        with self._locked():
+        with self._locked(), writing(self._folder, what="up"):
             self.check(run, robot=robot, services=services)
             link = self._folder / f"{robot}.{'+'.join(services)}"
             new = link.with_name(f".{link.name}.{os.getpid()}")

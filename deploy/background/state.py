@@ -15,6 +15,7 @@ import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import RawIOBase
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -119,19 +120,23 @@ class LineFile:
     """Writes each line to a file at once. If the disk is full, lines are dropped."""
 
     def __init__(self, path: Path) -> None:
-        # Without a buffer: a buffer that cannot be written is tried again with every line.
-        self._file = path.open("ab", buffering=0)
+        self._file: RawIOBase | None = None
+        with contextlib.suppress(OSError):
+            # Without a buffer: a buffer that cannot be written is tried again with every line.
+            self._file = path.open("ab", buffering=0)
 
     def __enter__(self) -> LineFile:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
 
     def add(self, line: str) -> None:
         """Add a line."""
-        with contextlib.suppress(OSError):
-            self._file.write(f"{line}\n".encode())
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.write(f"{line}\n".encode())
 
 
 class StackFolder:

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from deploy.console.status import Status
 from deploy.console.terminal import Terminal
-from deploy.outcome import STEMS, SUMMARY, set_aside, summarise
+from deploy.outcome import STEMS, SUMMARY, is_running, set_aside, summarise
 from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
 from shared.config.settings import RunConfig
@@ -78,7 +78,12 @@ def main() -> int:
 
 
 def _put_away(out: Path, config: RunConfig) -> None:
-    """Put the files of an earlier run away. If it was killed, sum it up before."""
+    """Put the files of an earlier run away. If it was killed, sum it up before.
+
+    Files of services that run already are those of this run.
+    """
+    if is_running(out):
+        return
     with writing(out, what="out"):
         if not (out / SUMMARY).exists() and any(lives(out, stem) for stem in STEMS):
             print("the run before was killed:", flush=True)

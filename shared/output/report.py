@@ -238,7 +238,8 @@ def summary_in_words(summary: dict[str, Any]) -> str:
         refused = sum((way["refused"] or {}).values())
         error = way["delay_error_ms"]
         lines.append(
-            f"  {name}: {way['sent']} sent, {way['received']} received, {way['lost']} lost, "
+            f"  {name}: {_known(way['sent'])} sent, {_known(way['received'])} received, "
+            f"{_known(way['lost'])} lost, "
             f"{refused} refused{_rate(way['bytes_per_second'])}; delay error p50 "
             f"{_number(error['p50'], 'ms')}, p99 {_number(error['p99'], 'ms')}"
         )
@@ -255,9 +256,13 @@ def summary_in_words(summary: dict[str, Any]) -> str:
     lines += [
         f"  robot tick p50 {_number(tick['p50'], 'ms')}, p99 {_number(tick['p99'], 'ms')}; "
         f"edge solve p50 {_number(solve['p50'], 'ms')}, p99 {_number(solve['p99'], 'ms')}",
-        f"  overruns {summary['overruns']}; {summary['realtime_factor']} × real time",
+        f"  overruns {summary['overruns']}; {_known(summary['realtime_factor'])} × real time",
     ]
     return "\n".join(lines)
+
+
+def _known(value: float | None) -> str:
+    return "-" if value is None else str(value)
 
 
 def _rate(bytes_per_second: float | None) -> str:

@@ -151,6 +151,24 @@ def test_output_that_finds_no_room_on_the_disk_is_shown_all_the_same(tmp_path: P
     played(tmp_path, scenario)
 
 
+def test_a_line_without_end_is_dropped_and_the_next_one_is_read(tmp_path: Path):
+    async def scenario(run: Run):
+        await run.start("edge", "print('x' * 500_000); print('after'); " + SLEEPS)
+        assert run.output[-2:] == ["edge: after", "edge: READY"]
+
+    played(tmp_path, scenario)
+
+
+def test_a_log_that_cannot_be_opened_is_left_out(tmp_path: Path):
+    (tmp_path / "edge.log").mkdir()
+
+    async def scenario(run: Run):
+        await run.start("edge", SLEEPS)
+        assert run.output == ["edge: READY"]
+
+    played(tmp_path, scenario)
+
+
 def test_a_service_that_ends_ends_the_run_with_its_exit_code(tmp_path: Path):
     async def scenario(run: Run):
         await run.start("netem", FAILS)

@@ -161,6 +161,29 @@ def test_both_ends_of_a_cable_that_is_cut_end_with_their_results(
     assert parquet_shape(tmp_path / "edge/edge.parquet")[1] > 0
 
 
+def test_a_recording_over_a_cable_that_is_cut_keeps_what_was_measured(
+    machines: Machines, start: Start, tmp_path: Path
+) -> None:
+    endpoint = f"tcp/{machines.edge.address}:7460"
+    far = start("netem", "record", "--listen", endpoint, machine=machines.edge)
+    far.wait_for("READY")
+    out = tmp_path / "mylink.npz"
+    near = start(
+        *("netem", "record", "--connect", endpoint, "--out", str(out), "--seconds", "3600"),
+        machine=machines.robot,
+    )
+    near.wait_for("lost or late", times=1)
+    machines.cut()
+    near.wait_for("lost or late", times=3)
+    for process in (near, far):
+        process.signal(signal.SIGINT)
+        assert process.wait() == 0, process.output
+    assert far.lines[-1].startswith("stopped; "), far.output
+    for delays in load_profile(str(out)).delays_ns:
+        assert np.any(delays != LOST)
+        assert np.all(delays[-500:] == LOST)
+
+
 def test_a_full_disk_hides_no_outcome(small_disk: Path, start: Start) -> None:
     up = start(
         *("deploy", "up", "--controller", "lc", "--view", "off", "--push", "none"),

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from netem.networks import load_profile
+from netem.recorder.record import _keep
 from shared.process.cli import Subcommand, run, run_command
 
 NEAR = ("--connect", "tcp/127.0.0.1:1")
@@ -44,3 +46,17 @@ def test_a_mistake_is_one_line(
     assert captured.err.count("\n") == 1
     assert message in captured.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_measurement_for_which_its_disk_has_no_room_is_kept_elsewhere(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    (tmp_path / "full").write_text("no folder")
+    profile = load_profile("constant:8ms")
+    kept = _keep(profile, tmp_path / "full/mylink.npz")
+    assert load_profile(str(kept)).delays_ns.tolist() == profile.delays_ns.tolist()
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("warning: profile")
+    assert line.endswith(f"the profile is in {kept}")
+    assert _keep(profile, tmp_path / "mylink.npz") == tmp_path / "mylink.npz"
