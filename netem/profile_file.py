@@ -237,7 +237,7 @@ def _csv_numbers(path: Path, line: int, cells: list[str]) -> list[float]:
 def _json_or_text(text: str) -> Any:
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text
 
 

@@ -155,6 +155,18 @@ def test_a_profile_in_text_may_begin_with_a_byte_order_mark(tmp_path: Path):
     assert load_profile(str(tmp_path / "mine.csv")).delays_ns.tolist() == [[10**6], [2 * 10**6]]
 
 
+@pytest.mark.parametrize("suffix", ["npz", "csv"])
+def test_metadata_of_many_levels_is_no_traceback(suffix: str, tmp_path: Path):
+    path, deep = tmp_path / f"mine.{suffix}", "[" * 100_000
+    if suffix == "npz":
+        delays = np.ones(3, dtype=np.int64)
+        np.savez(path, uplink_us=delays, downlink_us=delays, meta=np.array(deep))
+        assert "expected arrays" in mistake("netem", "stats", str(path))
+    else:
+        path.write_text(f"# notes: {deep}\nuplink_ms,downlink_ms\n1,2\n")
+        assert load_profile(str(path)).metadata["notes"] == deep
+
+
 @pytest.mark.parametrize("make", [a_pipe, a_device, a_folder, a_link_to_itself])
 def test_measurements_that_are_no_file(make, tmp_path: Path):
     make(tmp_path / "measured")

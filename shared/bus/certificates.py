@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -71,8 +72,12 @@ def _load_certificate(path: Path) -> x509.Certificate:
 
 def _read(path: Path) -> bytes:
     try:
-        return read_regular(path, at_most=_MAX_BYTES)
+        data = read_regular(path, at_most=_MAX_BYTES)
     except FileNotFoundError:
         raise ConfigError(f"secure: {path.parent} has no {path.name}; {_REMEDY}") from None
     except OSError as error:
         raise ConfigError(f"secure: cannot read {path}: {error.strerror}") from None
+    if data.startswith(codecs.BOM_UTF8):
+        # Zenoh finds no certificate and no key behind it.
+        raise ConfigError(f"secure: {path} begins with a byte order mark; save it without one")
+    return data

@@ -154,6 +154,12 @@ def test_a_damaged_file_is_named(folder: Path, name: str, content: bytes):
     assert f"{folder / name} is not a" in refusal(folder)
 
 
+@pytest.mark.parametrize("name", ["ca.crt", "edge.crt", "edge.key"])
+def test_a_byte_order_mark_is_named_because_zenoh_cannot_read_behind_it(folder: Path, name: str):
+    (folder / name).write_bytes(b"\xef\xbb\xbf" + (folder / name).read_bytes())
+    assert f"{folder / name} begins with a byte order mark; save it" in refusal(folder)
+
+
 def test_an_expired_certificate_says_when(tmp_path: Path):
     make(tmp_path, robots=["romeo"], now=NOW - timedelta(days=1000))
     assert "edge.crt expired on 20" in refusal(tmp_path)
