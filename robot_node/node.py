@@ -15,6 +15,7 @@ import numpy as np
 
 from robot_node.controllers import Command, ControllerParts, MakeController, make_controller
 from robot_node.onboard import MakeSolve, ModelledComputer, OnBoardComputer, StartComputer
+from robot_node.plan_anchor import PlanAnchor
 from robot_node.plant import Plant, make_plant
 from robot_node.safety import JointHold, TorqueGuard, TorqueRateLimiter, has_fallen
 from robot_node.sensor_guard import SensorGuard
@@ -25,6 +26,7 @@ from shared.bus.base import Delivery, SenderCounter, new_session
 from shared.config.settings import RunConfig
 from shared.robots import Foot, Robot
 from shared.telemetry.schema import Schema, Source, tick_schema
+from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference
 from shared.wbc.stack import make_stacks
@@ -90,12 +92,15 @@ class RobotNode:
         self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
         self._torque_rate_limiter = TorqueRateLimiter(self._guard)
         self._last_rung = Source.HELD
-        self._hold = JointHold(robot)
+        self._hold = JointHold(robot, timestep=config.loop.period_ns * 1e-9)
+        self._plan = PlanAnchor(self._model)
         self._hold_after_ns = config.loop.hold_after * 1e9
         self._standing_com_height = float(motion.reference(0).com[2])
-        self._measured_ns = 0
+        self._measured_ns = self._plan_ns = 0
+        self._plan_frame = self._plan.frame
         self._stopping = False
         self._true_state: tuple[np.ndarray, np.ndarray]
+        self._q_in_world: np.ndarray
         self._q: np.ndarray
         self._v: np.ndarray
         self._reference: Reference
@@ -103,9 +108,14 @@ class RobotNode:
     def measure(self, now_ns: int) -> bytes:
         """First phase: sense, observe, and return the state message to send."""
         self._true_state = self._plant.state()
-        q, v = self.sensor_guard.check(*self._sensors.measure(*self._true_state))
+        measured = self._sensors.measure(*self._true_state)
+        self._q_in_world, v = self.sensor_guard.check(*measured)
+        # References are in the plan's frame and time, and so is the state from here on.
+        self._plan_frame = self._plan.frame
+        self._plan_ns = self.time_ns + self._plan.skipped_ns
+        q = self._plan_frame.in_plan(self._q_in_world)
         self._q, self._v = q, v
-        self._reference = self._motion.reference(self.time_ns)
+        self._reference = self._motion.reference(self._plan_ns)
         self.controller.observe(q, v, self._reference)
         self._measured_ns = now_ns
         self._sent.add(self.tick, stamp_ns=now_ns, q=q, v=v)
@@ -114,7 +124,7 @@ class RobotNode:
                 session=self._session,
                 sequence=self.tick,
                 stamp_ns=now_ns,
-                time_ns=self.time_ns,
+                time_ns=self._plan_ns,
                 mode=self._reference.mode,
                 q=q,
                 v=v,
@@ -131,7 +141,7 @@ class RobotNode:
     def command(self, now_ns: int) -> Command:
         """Second phase: the torque of this tick, Eq. (7)."""
         self._solve_on_board()
-        decision = self.controller.command(time_ns=self.time_ns)
+        decision = self.controller.command(time_ns=self._plan_ns)
         if decision is None:
             return self._held(age_ns=-1)
         age_ns = now_ns - decision.stamp_ns
@@ -140,7 +150,9 @@ class RobotNode:
         safe = self._guard.accept(decision.tau)
         if safe is None:
             return self._held(age_ns=age_ns)
-        self._hold.observe(self._q, safe)
+        on_both_feet = self._reference.mode is ContactMode.DOUBLE_SUPPORT
+        self._hold.observe(self._q, safe, on_both_feet=on_both_feet)
+        self._plan.release()
         source = Source.FRESH if decision.sequence == self.tick else decision.source
         if self._stopping and source is not Source.CACHED:
             source = Source.STOPPING
@@ -184,6 +196,8 @@ class RobotNode:
             soles=soles,
             measured=(self._q, self._v),
             reference=self._reference,
+            plan_frame=self._plan_frame,
+            plan_ns=self._plan_ns,
             push=push,
             on_board_qps=0 if self.on_board is None else self.on_board.solves,
             refused=self.cache.refused.total_refused,
@@ -195,7 +209,7 @@ class RobotNode:
         self.on_board.tick(
             self._q,
             self._v,
-            time_ns=self.time_ns,
+            time_ns=self._plan_ns,
             sequence=self.tick,
             stamp_ns=self._measured_ns,
         )
@@ -205,7 +219,7 @@ class RobotNode:
         to end.
         """
         if not self._stopping:
-            before, self._motion = self._motion, self._motion.stopped(self.time_ns)
+            before, self._motion = self._motion, self._motion.stopped(self._plan_ns)
             self._stopping = self._motion is not before
 
     def _bounded(self, tau: np.ndarray, source: Source) -> np.ndarray:
@@ -221,6 +235,13 @@ class RobotNode:
         return self._torque_rate_limiter.bound(tau, changed=changed)
 
     def _held(self, *, age_ns: int) -> Command:
+        if self.running:
+            self._plan.hold(
+                self._q_in_world,
+                self._motion,
+                time_ns=self.time_ns,
+                period_ns=self._config.loop.period_ns,
+            )
         tau = self._guard.accept(self._hold.torque(self._q, self._v))
         if tau is None:
             tau = np.zeros_like(self._guard.limit)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio as pin
 
 from shared.robots import Robot
 from shared.wbc.finite import all_finite
@@ -13,11 +14,16 @@ from shared.wbc.finite import all_finite
 FALLEN_COM_HEIGHT = 0.6
 FALLEN_TILT = 1.0
 
-# Joint hold: stiffness [1/rad] and damping [s/rad] per N m of the joint's effort limit.
+# Joint hold: stiffness [1/rad] and damping [s/rad] per N m of the joint's effort limit, at most.
 _HOLD_STIFFNESS_PER_EFFORT = 20.0
 _HOLD_DAMPING_PER_EFFORT = 1.0
+# Part of a joint's velocity that its damping may take away in one tick. Above 2 a joint that moves
+# freely swings up instead of coming to rest.
+_HOLD_DAMPING_PER_TICK = 0.5
 # Weight of the newest tick in the averages: a time constant of 50 ms.
 _HOLD_AVERAGE = 0.02
+# Time in which a hold that begins on one foot sets the other foot down [s].
+_SET_DOWN = 0.15
 
 
 class TorqueGuard:
@@ -65,28 +71,56 @@ class JointHold:
 
     It is the last resort of a robot without a usable projector: the robot stays upright as a statue
     does, and resists as far as stiff joints can. Posture and torque are averaged over the last
-    ticks, so that the held posture is not one noisy measurement.
+    ticks, so that the held posture is not one noisy measurement. A statue on one foot would topple:
+    from a step the joints move to the standing posture, in which both feet are on the ground.
+
+    The gains are those of a joint as strong as its effort limit, and no more than a tick of
+    `timestep` [s] allows for its inertia. A light joint would otherwise chatter, and shake the feet
+    along the floor. The stiffness is at most that of critical damping.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        self._stiffness = _HOLD_STIFFNESS_PER_EFFORT * robot.effort_limit
-        self._damping = _HOLD_DAMPING_PER_EFFORT * robot.effort_limit
+    def __init__(self, robot: Robot, *, timestep: float) -> None:
+        self._standing = robot.q_standing[7:]
+        self._set_down_per_tick = timestep / _SET_DOWN
+        self._on_both_feet, self._ticks = True, 0
+        inertia = _free_inertia(robot)
+        self._damping = np.minimum(
+            _HOLD_DAMPING_PER_EFFORT * robot.effort_limit,
+            _HOLD_DAMPING_PER_TICK * inertia / timestep,
+        )
+        self._stiffness = np.minimum(
+            _HOLD_STIFFNESS_PER_EFFORT * robot.effort_limit, self._damping**2 / (4.0 * inertia)
+        )
         self._newest = np.empty((2, len(robot.effort_limit)))
         self._average = np.stack([robot.q_standing[7:], np.zeros_like(robot.effort_limit)])
         self._posture, self._torque = self._average
 
-    def observe(self, q: np.ndarray, tau: np.ndarray) -> None:
+    def observe(self, q: np.ndarray, tau: np.ndarray, *, on_both_feet: bool) -> None:
         """Take in a tick under normal control, at measured q with torque tau, into the averages."""
+        self._on_both_feet, self._ticks = on_both_feet, 0
         self._newest[0] = q[7:]
         self._newest[1] = tau
         self._average += _HOLD_AVERAGE * (self._newest - self._average)
 
     def torque(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Holding torque at (q, v), shape (nv − 6,) [N m]."""
+        posture = self._posture
+        if not self._on_both_feet:
+            self._ticks += 1
+            part = min(1.0, self._ticks * self._set_down_per_tick)
+            posture = posture + part * (self._standing - posture)
         torque: np.ndarray = (
-            self._torque + self._stiffness * (self._posture - q[7:]) - self._damping * v[6:]
+            self._torque + self._stiffness * (posture - q[7:]) - self._damping * v[6:]
         )
         return torque
+
+
+def _free_inertia(robot: Robot) -> np.ndarray:
+    """Inertia against a joint's torque if nothing holds the robot, (nv − 6,) [kg m²]."""
+    data = robot.model.createData()
+    M_inverse = pin.computeMinverse(robot.model, data, robot.q_standing)
+    inertia: np.ndarray = 1.0 / np.diag(M_inverse)[6:]
+    return inertia
 
 
 def has_fallen(q: np.ndarray, *, com_height: float, standing_com_height: float) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_node.controllers import Command, Decision
+from shared.motion.plan_frame import PlanFrame
 from shared.robots import Foot
 from shared.telemetry.schema import Schema
 from shared.wbc.contacts import FORCES_PER_FOOT, ContactMode
@@ -22,7 +23,8 @@ class Moment:
 
     `time_ns` is that of the task, −1 before it begins; `wall_ns` that of the measurement. `q`, `v`
     is the true state, `com` and `soles` its centre of mass and sole positions in the world [m];
-    `measured` is the state from the sensors. `push` is the external force on the base [N].
+    `measured` is the state from the sensors, in the plan's frame as `reference` is; `plan_frame`
+    and `plan_ns` are the place of the plan. `push` is the external force on the base [N].
     """
 
     tick: int
@@ -34,6 +36,8 @@ class Moment:
     soles: dict[Foot, np.ndarray]
     measured: tuple[np.ndarray, np.ndarray]
     reference: Reference
+    plan_frame: PlanFrame
+    plan_ns: int
     push: np.ndarray
     on_board_qps: int
     refused: int
@@ -56,7 +60,9 @@ class TickRow:
     def fill(self, row: np.ndarray, moment: Moment, command: Command) -> None:
         """Fill all columns but the times that the driver of the tick measures."""
         reference, decision = moment.reference, command.decision
-        error = moment.com - reference.com
+        frame = moment.plan_frame
+        com_reference = frame.point_in_world(reference.com)
+        error = moment.com - com_reference
         forces = (self._unloaded, self._unloaded)
         violation = contraction = staleness = math.nan
         sequence = active_set = -1
@@ -73,10 +79,11 @@ class TickRow:
                 command.tau,
                 *forces,
                 moment.com,
-                reference.com,
+                com_reference,
                 (math.sqrt(error.dot(error)), violation),
                 moment.push,
                 self._slips(moment),
+                (frame.x, frame.y, frame.yaw, moment.plan_ns),
                 (command.age_ns, sequence, active_set, moment.on_board_qps),
                 (contraction, staleness),
             ),

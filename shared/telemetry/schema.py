@@ -60,7 +60,9 @@ class Schema:
 # edge), `wall_ns` of the robot's clock. `source` is a `Source`.
 # `q`, `v` true state, Pinocchio order; `f` commanded forces at the four points of both soles, zero
 # where unloaded [N].
-# `foot_slip_m` of the left and right foot since it was loaded, NaN in the air. `active_set` and
+# `foot_slip_m` of the left and right foot since it was loaded, NaN in the air. `plan_in_world`: the
+# plan's frame, x, y [m] and heading [rad]; `plan_time_ns`: the plan's time, which a joint hold may
+# advance (`docs/maths.md`). `com_reference` is in the world. `active_set` and
 # `projector_sequence` are those of the command's projector: its bit mask (`Projector.active_set`)
 # and the tick whose state it came from; −1 if none. `on_board_qps`: QPs begun on board so far.
 # `contraction`, `staleness_rad`: as in `robot_node.controllers.Decision`, NaN if not corrected.
@@ -82,6 +84,8 @@ def tick_schema(*, nq: int, nv: int) -> Schema:
         Column("contact_violation_m_s2"),
         Column("push_n", 3),
         Column("foot_slip_m", 2),
+        Column("plan_in_world", 3),
+        Column("plan_time_ns", kind="int64"),
         Column("projector_age_ns", kind="int64"),
         Column("projector_sequence", kind="int64"),
         Column("active_set", kind="int64"),
