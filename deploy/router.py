@@ -22,6 +22,7 @@ import time
 from shared.bus.security import ROUTER, Credentials
 from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
+from shared.config.settings import LoopConfig
 from shared.process.cli import EXIT_STANDING, Parser, run
 from shared.process.service import StopSignal, add_secure_argument
 from shared.wire.channels import DOWNLINK
@@ -50,6 +51,7 @@ def main() -> int:
         listen=[arguments.listen],
         mode="router",
         largest=DOWNLINK.max_bytes,
+        lease=LoopConfig().link_lease,
         credentials=credentials,
     )
     print(f"READY {arguments.listen}, admits {admits}", flush=True)

@@ -58,13 +58,17 @@ def main() -> int:
     scheduling = prepare(priority=_PRIORITY)
     if arguments.connect is None:
         bus = ZenohBus(
-            listen=[arguments.listen], largest=DOWNLINK.max_bytes, credentials=me.credentials
+            listen=[arguments.listen],
+            largest=DOWNLINK.max_bytes,
+            lease=config.loop.link_lease,
+            credentials=me.credentials,
         )
     else:
         bus = ZenohBus.dial(
             arguments.connect,
             within=config.loop.connect_timeout,
             largest=DOWNLINK.max_bytes,
+            lease=config.loop.link_lease,
             credentials=me.credentials,
             stopping=lambda: stop.requested,
         )

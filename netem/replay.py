@@ -67,12 +67,16 @@ def run_replay(arguments: argparse.Namespace) -> int:
     late_ns = wakes_late_ns()
     spin_ns = min(late_ns, _MAX_SPIN_NS) if usable_cores() >= _SPINNING_CORES else 0
     near = ZenohBus(
-        listen=[arguments.listen], largest=DOWNLINK.max_bytes, credentials=me.credentials
+        listen=[arguments.listen],
+        largest=DOWNLINK.max_bytes,
+        lease=config.loop.link_lease,
+        credentials=me.credentials,
     )
     far = ZenohBus.dial(
         arguments.connect,
         within=config.loop.connect_timeout,
         largest=UPLINK.max_bytes,
+        lease=config.loop.link_lease,
         credentials=me.credentials,
         stopping=lambda: stop.requested,
     )

@@ -68,6 +68,7 @@ def main() -> int:
         arguments.connect,
         within=config.loop.connect_timeout,
         largest=UPLINK.max_bytes,
+        lease=config.loop.link_lease,
         credentials=me.credentials,
         stopping=lambda: stop.requested,
     )

@@ -31,13 +31,15 @@ _OVERTAKEN = "stale"
 class Progress:
     """State of the loop for other threads, overwritten every tick.
 
-    `silence_ns` is the age of the state that the edge has answered last.
+    `silence_ns` is the age of the state that the edge has answered last. `walk_ended`: a joint hold
+    has ended the walk.
     """
 
     time_ns: int = 0
     source: Source = Source.HELD
     silence_ns: int = -1
     running: bool = False
+    walk_ended: bool = False
 
 
 class LiveLoop:
@@ -136,7 +138,9 @@ class LiveLoop:
                 task_began_ns, ticker.overruns = ticker.due_ns, 0
             ticker.next(now_ns)
             silence_ns = now_ns - node.cache.newest_stamp_ns
-            self.progress = Progress(node.time_ns, command.source, silence_ns, node.running)
+            self.progress = Progress(
+                node.time_ns, command.source, silence_ns, node.running, node.walk_ended
+            )
         self.wall_seconds = (clock.now_ns() - task_began_ns) * 1e-9
 
     def _check_timeout(self, waited_ns: int) -> None:
@@ -174,7 +178,7 @@ class Narrator:
         self._thread.join(timeout=1.0)
 
     def _watch(self) -> None:
-        running, stale_since, holding, stopping = False, 0.0, False, False
+        running, stale_since, holding, stopping, ended = False, 0.0, False, False, False
         reported = {_OVERTAKEN}
         faulty: set[str] = set()
         answering = 1
@@ -198,6 +202,9 @@ class Narrator:
             if (progress.source is Source.HELD) != holding:
                 holding = not holding
                 self._say(f"{at}: {'holding the joints' if holding else 'joints released'}")
+            if progress.walk_ended and not ended:
+                ended = True
+                self._say(f"{at}: the joint hold has ended the walk: standing where the feet are")
             if progress.source is Source.STOPPING and not stopping:
                 stopping = True
                 self._say(f"{at}: corrections are doubtful: ending the walk")

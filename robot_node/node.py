@@ -98,12 +98,17 @@ class RobotNode:
         self._standing_com_height = float(motion.reference(0).com[2])
         self._measured_ns = self._plan_ns = 0
         self._plan_frame = self._plan.frame
-        self._stopping = False
+        self._stopping = self._lands = False
         self._true_state: tuple[np.ndarray, np.ndarray]
         self._q_in_world: np.ndarray
         self._q: np.ndarray
         self._v: np.ndarray
         self._reference: Reference
+
+    @property
+    def walk_ended(self) -> bool:
+        """Return whether a joint hold has ended the walk."""
+        return self._plan.skipped_ns > 0
 
     def measure(self, now_ns: int) -> bytes:
         """First phase: sense, observe, and return the state message to send."""
@@ -145,8 +150,12 @@ class RobotNode:
         if decision is None:
             return self._held(age_ns=-1)
         age_ns = now_ns - decision.stamp_ns
-        if self.controller.answers_expire and age_ns > self._hold_after_ns:
-            return self._held(age_ns=age_ns)
+        expired = age_ns > self._hold_after_ns
+        if self.controller.answers_expire and (expired or self._lands):
+            # A hold on one foot lasts until the other one is down.
+            held = self._held(age_ns=age_ns)
+            self._lands = self._hold.sets_foot_down
+            return held
         safe = self._guard.accept(decision.tau)
         if safe is None:
             return self._held(age_ns=age_ns)

@@ -76,7 +76,7 @@ class PlanAnchor:
         return PlanFrame(x, y, math.atan2(forward[1], forward[0]))
 
     def _stance_below(self, reference: Reference, standing: PlanFrame) -> PlanFrame:
-        """Stance below a reference at rest, which is to it as `standing` is to the standing robot."""
+        """Stance below a reference at rest, as `standing` is below the standing robot."""
         q = self._model.robot.q_standing
         com, _ = self._model.com_and_soles(q)
         base_turn = reference.world_from_base.dot(world_from_base(q).T)

@@ -22,8 +22,9 @@ _HOLD_DAMPING_PER_EFFORT = 1.0
 _HOLD_DAMPING_PER_TICK = 0.5
 # Weight of the newest tick in the averages: a time constant of 50 ms.
 _HOLD_AVERAGE = 0.02
-# Time in which a hold that begins on one foot sets the other foot down [s].
-_SET_DOWN = 0.15
+# Time in which a hold that begins on one foot sets the other foot down [s], and that such a hold
+# lasts at least.
+_SET_DOWN, _LEAST_ON_ONE_FOOT = 0.15, 0.25
 
 
 class TorqueGuard:
@@ -81,7 +82,7 @@ class JointHold:
 
     def __init__(self, robot: Robot, *, timestep: float) -> None:
         self._standing = robot.q_standing[7:]
-        self._set_down_per_tick = timestep / _SET_DOWN
+        self._timestep = timestep
         self._on_both_feet, self._ticks = True, 0
         inertia = _free_inertia(robot)
         self._damping = np.minimum(
@@ -95,19 +96,24 @@ class JointHold:
         self._average = np.stack([robot.q_standing[7:], np.zeros_like(robot.effort_limit)])
         self._posture, self._torque = self._average
 
-    def observe(self, q: np.ndarray, tau: np.ndarray, *, on_both_feet: bool) -> None:
+    def observe(self, q: np.ndarray, tau: np.ndarray, *, on_both_feet: bool = True) -> None:
         """Take in a tick under normal control, at measured q with torque tau, into the averages."""
         self._on_both_feet, self._ticks = on_both_feet, 0
         self._newest[0] = q[7:]
         self._newest[1] = tau
         self._average += _HOLD_AVERAGE * (self._newest - self._average)
 
+    @property
+    def sets_foot_down(self) -> bool:
+        """Return whether the hold has begun on one foot and the other one is not down yet."""
+        return 0 < self._ticks * self._timestep < _LEAST_ON_ONE_FOOT
+
     def torque(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Holding torque at (q, v), shape (nv − 6,) [N m]."""
         posture = self._posture
         if not self._on_both_feet:
             self._ticks += 1
-            part = min(1.0, self._ticks * self._set_down_per_tick)
+            part = min(1.0, self._ticks * self._timestep / _SET_DOWN)
             posture = posture + part * (self._standing - posture)
         torque: np.ndarray = (
             self._torque + self._stiffness * (posture - q[7:]) - self._damping * v[6:]

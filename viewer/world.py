@@ -13,6 +13,7 @@ import rerun as rr
 
 from shared.config.settings import RunConfig
 from shared.motion.plan import make_motion
+from shared.motion.plan_frame import PlanFrame
 from shared.robots import Robot
 from shared.telemetry.schema import Schema, Source
 from shared.wbc.contacts import ContactMode
@@ -89,10 +90,13 @@ class World:
             return
         placements = []
         sources = schema.column(rows, "source").astype(int)
-        for time_ns, source in zip(instants.task_ns.tolist(), sources, strict=True):
+        times_ns = schema.column(rows, "plan_time_ns").astype(int).tolist()
+        frames = schema.column(rows, "plan_in_world").tolist()
+        for time_ns, frame, source in zip(times_ns, frames, sources, strict=True):
             if source == Source.STOPPING:
                 self._ghost.stop(time_ns)
-            placements.append(self._pose.joints(self._ghost.posture(time_ns)))
+            q = PlanFrame(*frame).in_world(self._ghost.posture(time_ns))
+            placements.append(self._pose.joints(q))
         self._log_joints("ghost_joints", placements, self._ghost_frames, instants)
 
     def _log_contacts(self, frames: list[Frame], instants: Instants) -> None:

@@ -1,7 +1,8 @@
 """Measure a real path on one machine: robot and edge in two namespaces, a slow cable in between.
 
-Each rate, round trip, protocol and send buffer has a separate run. The table shows the age of the
-projectors at their use, and how many the link did not take. As root.
+Each rate, round trip, protocol, send buffer, loss and cut has a separate run. The table shows the
+age of the projectors at their use, and how many the link did not take. The largest age is the
+longest silence of the link, as the robot sees it. As root.
 """
 
 from __future__ import annotations
@@ -29,7 +30,11 @@ from shared.process.cli import EXIT_STANDING
 from shared.process.entry import python
 
 _PORT = 7460
+_PROTOCOLS = ("tcp", "tls", "quic", "quic-datagram", "udp")
+_UNPROTECTED = ("tcp", "udp")
 _READY_SECONDS, _STOP_SECONDS = 60.0, 30.0
+_TASK_BEGINS = "the task begins"
+_UNDISTURBED_SECONDS = 1.0
 
 
 def add_real_path_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +48,30 @@ def add_real_path_arguments(parser: argparse.ArgumentParser) -> None:
         default=[0.0],
         help="of the cable [ms]; not 0: it is ./wbc netem packets",
     )
-    parser.add_argument("--protocol", nargs="+", default=["tcp"], choices=("tcp", "tls", "quic"))
+    parser.add_argument(
+        "--protocol",
+        nargs="+",
+        default=["tcp"],
+        choices=_PROTOCOLS,
+        help="quic-datagram: quic/…?rel=0 (default tcp)",
+    )
+    parser.add_argument(
+        "--loss",
+        nargs="+",
+        metavar="PROBABILITY",
+        type=_probability,
+        default=[0.0],
+        help="of losing a packet, each way, from the first second of the task on",
+    )
+    parser.add_argument(
+        "--cut",
+        nargs="+",
+        metavar="S",
+        type=float,
+        default=[0.0],
+        help="time for which the cable carries nothing, from the first second of the task on [s]",
+    )
+    parser.add_argument("--config", metavar="FILE.toml", help="settings of both ends")
     parser.add_argument(
         "--send-buffer",
         nargs="+",
@@ -61,22 +89,34 @@ def run_real_path(arguments: argparse.Namespace) -> int:
     exit_at_termination()
     found = versions()
     print(f"{found['platform']}, {os.cpu_count()} cores, Zenoh {found['eclipse-zenoh']}\n")
-    print("| cable | round trip | over | send buffer | age p50, p99 ms | sent | received | lost |")
-    print("|---|---|---|---|---|---|---|---|", flush=True)
-    cases = itertools.product(
-        arguments.rate, arguments.round_trip, arguments.protocol, arguments.send_buffer
+    print(
+        "| cable | round trip | over | send buffer | loss | cut | age p50, p99, max ms | sent "
+        "| received | lost |"
     )
-    for rate, round_trip_ms, protocol, buffer in cases:
+    print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
+    cases = itertools.product(
+        arguments.rate,
+        arguments.round_trip,
+        arguments.protocol,
+        arguments.send_buffer,
+        arguments.loss,
+        arguments.cut,
+    )
+    for rate, round_trip_ms, protocol, buffer, loss, cut in cases:
         with _machines(rate, round_trip_ms) as machines, tempfile.TemporaryDirectory() as folder:
             row = _trial(
                 machines,
                 Path(folder),
                 protocol=protocol,
                 settings="" if buffer is None else f"#so_sndbuf={buffer}",
+                loss=loss,
+                cut=cut,
+                config=arguments.config,
                 duration=arguments.duration,
                 controller=arguments.controller,
             )
-        case = f"{rate} | {round_trip_ms:g} ms | {protocol} | {buffer or 'ours'}"
+        cable = f"{rate} | {round_trip_ms:g} ms | {protocol} | {buffer or 'ours'}"
+        case = f"{cable} | {loss:g} | {cut:g} s"
         print(f"| {case} | {row} |", flush=True)
     return EXIT_STANDING
 
@@ -87,6 +127,13 @@ def _buffer(text: str) -> int | None:
     if not text.isdigit():
         raise argparse.ArgumentTypeError(f"expected a number of bytes or ours, got {text!r}")
     return int(text)
+
+
+def _probability(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < 1.0:
+        raise argparse.ArgumentTypeError(f"expected a probability, 0 ≤ p < 1, got {text}")
+    return value
 
 
 def _machines(rate: str, round_trip_ms: float) -> contextlib.AbstractContextManager[Machines]:
@@ -101,15 +148,20 @@ def _trial(
     *,
     protocol: str,
     settings: str,
+    loss: float,
+    cut: float,
+    config: str | None,
     duration: float,
     controller: str,
 ) -> str:
-    """Play one run. Return age p50 and p99, and projectors sent, received and lost."""
+    """Play one run. Return age p50, p99 and maximum, and projectors sent, received and lost."""
     endpoint = f"{protocol}/{machines.edge.address}:{_PORT}"
-    secure: tuple[str, ...] = ()
-    if protocol != "tcp":
+    if protocol == "quic-datagram":
+        endpoint = f"quic/{machines.edge.address}:{_PORT}?rel=0"
+    secure: tuple[str, ...] = () if config is None else ("--config", config)
+    if protocol not in _UNPROTECTED:
         make(folder / "keys", robots=[RobotConfig().name], hosts=[machines.edge.address])
-        secure = ("--secure", str(folder / "keys"))
+        secure += ("--secure", str(folder / "keys"))
     there, here = folder / "edge", folder / "robot"
     serving = _start(
         machines.edge,
@@ -125,6 +177,10 @@ def _trial(
             *("--duration", str(duration), "--controller", controller, *secure),
         )
         try:
+            if loss or cut:
+                _wait_for_line(moving, folder / "robot.txt", _TASK_BEGINS)
+                time.sleep(_UNDISTURBED_SECONDS)
+                _disturb(machines, loss=loss, cut=cut)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 moving.wait(timeout=_READY_SECONDS + 2.0 * duration)
         finally:
@@ -138,9 +194,20 @@ def _trial(
     age, down = report["projector_age_ms"], report["link"]["downlink"]
     fell = " (fell)" if report["fell"] else ""
     return (
-        f"{age['p50']:.1f}, {age['p99']:.1f}{fell} | {sent['link']['downlink']['sent']} | "
-        f"{down['received']} | {down['lost']}"
+        f"{age['p50']:.1f}, {age['p99']:.1f}, {age['max']:.0f}{fell} | "
+        f"{sent['link']['downlink']['sent']} | {down['received']} | {down['lost']}"
     )
+
+
+def _disturb(machines: Machines, *, loss: float, cut: float) -> None:
+    """Cut the cable for `cut` [s], then lose packets with the probability `loss`."""
+    ends = (machines.robot, machines.edge)
+    if cut:
+        for machine in ends:
+            machine.drop(1.0)
+        time.sleep(cut)
+    for machine in ends:
+        machine.drop(loss)
 
 
 def _start(machine: Machine, output: Path, *flags: str) -> subprocess.Popen[bytes]:
@@ -155,7 +222,7 @@ def _wait_for_line(process: subprocess.Popen[bytes], output: Path, text: str) ->
     deadline = time.monotonic() + _READY_SECONDS
     while text not in output.read_text(encoding="utf-8", errors="replace"):
         if process.poll() is not None or time.monotonic() > deadline:
-            raise LinkError(f"the edge did not start: {_last_line(output)}")
+            raise LinkError(f"no {text!r} in time: {_last_line(output)}")
         time.sleep(0.1)
 
 

@@ -25,7 +25,7 @@ QUEUE_MS = 50
 
 @dataclass(frozen=True)
 class Machine:
-    """A namespace and its address on the cable."""
+    """A namespace and its address on the cable. `drop` needs `iptables`."""
 
     namespace: str
     address: str
@@ -33,6 +33,14 @@ class Machine:
     def command(self, *arguments: str) -> list[str]:
         """Return a command line that runs `arguments` in the namespace."""
         return ["ip", "netns", "exec", self.namespace, *arguments]
+
+    def drop(self, probability: float) -> None:
+        """Drop each packet that arrives over the cable with a probability, from now on; 0: none."""
+        rules = ("iptables", "-t", "mangle")
+        _run(*self.command(*rules, "-F", "PREROUTING"))
+        if probability > 0.0:
+            randomly = ("-m", "statistic", "--mode", "random", "--probability", str(probability))
+            _run(*self.command(*rules, "-A", "PREROUTING", "-i", _DEVICE, *randomly, "-j", "DROP"))
 
 
 @dataclass(frozen=True)
@@ -98,6 +106,8 @@ def _connect(machine: Machine, *, rate: str) -> None:
     _run(*inside, "address", "add", f"{machine.address}/24", "dev", _DEVICE)
     for device in ("lo", _DEVICE):
         _run(*inside, "link", "set", device, "up")
+    # One packet a frame, as on a real cable: a drop is that of a packet, not of a whole message.
+    _run(*inside, "link", "set", _DEVICE, "gso_max_segs", "1")
     limit = ("tbf", "rate", rate, "burst", "64kb", "latency", f"{QUEUE_MS}ms")
     _run("tc", "-n", machine.namespace, "qdisc", "add", "dev", _DEVICE, "root", *limit)
 

@@ -46,6 +46,8 @@ _LIMITS = (
 )
 # A healthy session closes within 0.1 s.
 _CLOSE_SECONDS = 1.0
+# Zenoh's own, for local sessions and measurements.
+_LEASE_SECONDS = 10.0
 # Long enough for a TLS handshake over a link that stalls. Between attempts, a stop signal is seen.
 _ATTEMPT_SECONDS = 3.0
 
@@ -65,6 +67,9 @@ class ZenohBus:
     A `peer` speaks to the nodes to which it is connected, a `client` to all nodes behind the one
     that it has dialled. A `router` carries messages between its clients. `largest` is the maximum
     size of a message over a link [bytes], and makes buffers small; None: the session is local.
+    After `lease` [s] without a sign of life of the other end, a `tcp/` connection counts as lost
+    and is made again: TCP alone may wait as long again as an outage lasted. Zenoh cannot close a
+    TLS connection while it is full, and datagrams wait for nothing, so others keep Zenoh's lease.
     `settings` are further settings of Zenoh.
     """
 
@@ -75,11 +80,14 @@ class ZenohBus:
         connect: Sequence[str] = (),
         mode: str = "peer",
         largest: int | None = None,
+        lease: float = _LEASE_SECONDS,
         credentials: Credentials | None = None,
         settings: dict[str, Any] | None = None,
     ) -> None:
-        for endpoint in (*listen, *connect):
-            parse_endpoint(endpoint, secured=credentials is not None)
+        protocols = {
+            parse_endpoint(endpoint, secured=credentials is not None).protocol
+            for endpoint in (*listen, *connect)
+        }
         _check_limits()
         batches, send_buffer = _buffers(largest)
         config = zenoh.Config()
@@ -98,6 +106,7 @@ class ZenohBus:
             "transport/link/tx/queue/size/real_time": batches,
             "transport/link/tcp/so_sndbuf": send_buffer,
             "transport/link/tls/so_sndbuf": send_buffer,
+            **({"transport/link/tx/lease": round(1e3 * lease)} if protocols == {"tcp"} else {}),
             **({} if credentials is None else credentials.settings()),
             **(settings or {}),
         }.items():
@@ -119,6 +128,7 @@ class ZenohBus:
         *,
         within: float,
         largest: int | None = None,
+        lease: float = _LEASE_SECONDS,
         credentials: Credentials | None = None,
         stopping: Callable[[], bool] = lambda: False,
     ) -> ZenohBus:
@@ -139,6 +149,7 @@ class ZenohBus:
                     connect=[endpoint],
                     mode="client",
                     largest=largest,
+                    lease=lease,
                     credentials=credentials,
                     settings={
                         "connect/timeout_ms": round(1e3 * min(max(left, 0.1), _ATTEMPT_SECONDS)),

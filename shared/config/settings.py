@@ -120,6 +120,9 @@ class LoopConfig:
 
     If its newest projector is older than `hold_after`, the robot holds its joints. The default is
     longer than the outages of the factory and building profiles, and shorter than LA can stand.
+
+    If nothing has come from the other end of a `tcp/` connection for `link_lease`, the connection
+    is closed and made again. Each end tells the other one its own `link_lease`.
     """
 
     period_ns: int = setting(1_000_000, help="length of a tick; no other value is supported")
@@ -136,6 +139,9 @@ class LoopConfig:
     )
     connect_timeout: float = setting(
         20.0, help="time that the robot waits for its first projector", unit="s", at_least=0.0
+    )
+    link_lease: float = setting(
+        1.0, help="silence after which a tcp/ connection is made again", unit="s", at_least=0.2
     )
 
 

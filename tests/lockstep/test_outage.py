@@ -95,6 +95,43 @@ def test_half_a_second_of_holding_is_named_counted_and_stood(play, outage, contr
     assert np.abs(com - com[0])[:, :2].max() < 0.02
 
 
+@pytest.mark.parametrize("robot_name", ["romeo", "talos"])
+def test_a_long_hold_neither_slides_nor_topples_and_la_stands_after_it(play, robot_name):
+    # With gains that knew no inertia, Romeo slid by 10 mm a second, and Talos fell in the hold.
+    result = play(
+        duration=3.0,
+        push=[],
+        **{
+            "robot.name": robot_name,
+            "link.network": "constant:2ms",
+            "link.outage": ["2100ms@0.3s"],
+        },
+    )
+    assert not result.summary["fell"]
+    assert result.summary["commands"]["held"] > 1500
+    assert column(result, "foot_slip_m").max() < 0.008
+    assert column(result, "source")[-500:].max() != 2
+
+
+def test_a_hold_in_the_middle_of_a_step_ends_the_walk_on_both_feet(play):
+    # As a statue on one foot the robot fell in this hold.
+    result = play(
+        task="walk",
+        duration=4.2,
+        seed=4,
+        **{"link.network": "constant:2ms", "link.outage": ["2050ms@0.9s"]},
+    )
+    assert not result.summary["fell"]
+    mode, source = column(result, "mode"), column(result, "source")
+    first = int(np.argmax((source == 2) & (column(result, "time_ns") > 0)))
+    assert mode[first] != 0
+    assert mode[-1] == 0
+    # The plan stands at its end, and its CoM is above the feet where they are.
+    assert column(result, "plan_time_ns")[-1] > column(result, "time_ns")[-1] + 1_000_000_000
+    assert column(result, "com_error_m")[-1] < 0.03
+    assert source[-500:].max() != 2
+
+
 def test_during_an_outage_shorter_than_the_limit_nothing_is_held(play, outage):
     result = play(duration=1.5, push=[], **{"link.network": outage, "loop.hold_after": 0.6})
     assert result.summary["commands"]["held"] == 0

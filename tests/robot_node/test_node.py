@@ -11,6 +11,7 @@ from edge_node.node import EdgeNode
 from robot_node.node import RobotNode
 from robot_node.safety import JointHold, TorqueGuard
 from robot_node.tick import Tick
+from shared.motion.plan_frame import PlanFrame
 from shared.telemetry.schema import Source
 from shared.wbc.answer import TimedProjector
 from shared.wire.codec import Codec
@@ -127,7 +128,7 @@ def test_beyond_its_age_limit_the_cache_is_not_used_and_the_joints_are_held(benc
 
 
 def test_what_is_held_is_what_was_controlled_before(bench, robot):
-    played, expected = bench(**{"loop.hold_after": 1e-3}), JointHold(robot)
+    played, expected = bench(**{"loop.hold_after": 1e-3}), JointHold(robot, timestep=1e-3)
     guard = TorqueGuard(robot, clamp=1.45)
     for _ in range(30):
         command = played.tick()
@@ -143,6 +144,37 @@ def test_what_is_held_is_what_was_controlled_before(bench, robot):
 def test_an_answer_ends_the_hold(bench):
     played = bench(**{"loop.hold_after": 2.5e-3}).run(1).run(5, deliver=nothing).run(1)
     assert played.commands[-1].source is Source.FRESH
+
+
+def test_a_robot_that_was_carried_away_in_a_hold_stands_on_where_it_is(bench):
+    """Its torques are those of a twin that stayed: the plan has gone along."""
+    carried_by = PlanFrame(0.5, -0.2, 0.7)
+    changes = {"loop.hold_after": 2.5e-3, "sensors.joint_position_noise": 0.0}
+    stayed, carried = (bench(**changes).run(20).run(20, deliver=nothing) for _ in range(2))
+    plant = carried.robot._plant
+    q, v = plant.state()
+    plant.set_state(carried_by.in_world(q), v)
+    q, v = stayed.robot._plant.state()
+    stayed.robot._plant.set_state(q, v)
+    # Long enough for 30 ms at the old place to be forgotten, with a time constant of 50 ms.
+    for each in (stayed, carried):
+        each.run(1000, deliver=nothing).run(5)
+        assert [command.source for command in each.commands[-5:]] == [Source.FRESH] * 5
+    for left, right in zip(stayed.commands[-5:], carried.commands[-5:], strict=True):
+        np.testing.assert_allclose(left.tau, right.tau, rtol=0.0, atol=1e-3)
+    x, y, yaw = carried.column("plan_in_world")[-1]
+    np.testing.assert_allclose([x, y, yaw], [0.5, -0.2, 0.7], atol=1e-3)
+    # The reference is told in the world, where the robot is.
+    errors = stayed.column("com_error_m")[-1], carried.column("com_error_m")[-1]
+    assert errors[1] == pytest.approx(errors[0], abs=1e-4)
+    # The state is sent in the plan's frame: the edge needs no field for it.
+    np.testing.assert_allclose(carried.state.q[:2], stayed.state.q[:2], atol=1e-3)
+
+
+def test_a_hold_of_a_few_ticks_leaves_the_plan_where_it_is(bench):
+    played = bench(**{"loop.hold_after": 2.5e-3}).run(1).run(60, deliver=nothing).run(5)
+    assert not played.column("plan_in_world").any()
+    np.testing.assert_array_equal(played.column("plan_time_ns"), played.column("time_ns"))
 
 
 def test_time_goes_on_while_the_joints_are_held(bench):

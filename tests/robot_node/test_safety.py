@@ -12,6 +12,7 @@ from robot_node.safety import (
     TorqueRateLimiter,
     has_fallen,
 )
+from shared.robots import load_robot
 
 HEIGHT = 0.66
 
@@ -23,7 +24,7 @@ def guard(robot):
 
 @pytest.fixture
 def hold(robot):
-    return JointHold(robot)
+    return JointHold(robot, timestep=1e-3)
 
 
 def test_a_torque_within_the_limits_passes_unchanged(guard, rng):
@@ -132,6 +133,53 @@ def test_what_is_held_does_not_follow_arrays_that_change(hold, robot):
     tau[:] = 50.0
     q[7:] += 1.0
     np.testing.assert_array_equal(hold.torque(robot.q_standing, np.zeros(37)), before)
+
+
+@pytest.mark.parametrize("name", ["romeo", "talos"])
+def test_no_joint_swings_up_under_the_hold_of_a_robot_in_the_air(name):
+    # Before the gains knew the inertia, Romeo's wrist was ten times as fast with every tick, and
+    # the chatter of the light joints shook the feet along the floor.
+    robot = load_robot(name)
+    model = robot.model.copy()
+    model.gravity = pin.Motion.Zero()
+    data, hold = model.createData(), JointHold(robot, timestep=1e-3)
+    for joint in range(model.nv - 6):
+        q, v = robot.q_standing.copy(), np.zeros(model.nv)
+        v[6 + joint] = 1.0
+        for _ in range(20):
+            tau = np.concatenate([np.zeros(6), hold.torque(q, v)])
+            v = v + 1e-3 * pin.aba(model, data, q, v, tau)
+            q = pin.integrate(model, q, 1e-3 * v)
+        assert np.abs(v[6:]).max() < 1.0, model.names[2 + joint]
+
+
+def test_a_hold_that_begins_on_one_foot_moves_to_the_standing_posture(hold, robot):
+    q = robot.q_standing.copy()
+    q[7:] += 0.1
+    for _ in range(1000):
+        hold.observe(q, np.zeros(31), on_both_feet=False)
+    assert not hold.sets_foot_down
+    still = np.zeros(37)
+    # Of a tenth of a radian, 1 ms of 150 is asked for at first, and all of it from 150 ms on.
+    np.testing.assert_allclose(
+        hold.torque(q, still), hold.torque(robot.q_standing, still) / -149.0, rtol=0.02
+    )
+    for _ in range(148):
+        assert hold.sets_foot_down
+        hold.torque(q, still)
+    np.testing.assert_allclose(hold.torque(robot.q_standing, still), 0.0, atol=1e-9)
+    for _ in range(100):
+        hold.torque(q, still)
+    assert not hold.sets_foot_down
+
+
+def test_a_hold_on_both_feet_does_not_move_them(hold, robot):
+    q = robot.q_standing.copy()
+    q[7:] += 0.1
+    observed(hold, q, np.zeros(31), 1000)
+    for _ in range(300):
+        np.testing.assert_allclose(hold.torque(q, np.zeros(37)), 0.0, atol=1e-3)
+    assert not hold.sets_foot_down
 
 
 def tilted(robot, angle, axis):

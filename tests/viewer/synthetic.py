@@ -36,6 +36,7 @@ def tick_rows(
         values = {
             "tick": tick,
             "time_ns": (tick - waiting) * PERIOD_NS if tick >= waiting else -1,
+            "plan_time_ns": max(0, tick - waiting) * PERIOD_NS,
             "wall_ns": WALL_START_NS + tick * PERIOD_NS,
             "source": 2 if tick < waiting else (0 if int(t * 4) % 2 else 1),
             "mode": ContactMode.DOUBLE_SUPPORT,
