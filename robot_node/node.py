@@ -95,6 +95,7 @@ class RobotNode:
         self._hold = JointHold(robot, timestep=config.loop.period_ns * 1e-9)
         self._plan = PlanAnchor(self._model)
         self._hold_after_ns = config.loop.hold_after * 1e9
+        self._stays = motion.next_switch(0) is None
         self._standing_com_height = float(motion.reference(0).com[2])
         self._measured_ns = self._plan_ns = 0
         self._plan_frame = self._plan.frame
@@ -159,8 +160,11 @@ class RobotNode:
         safe = self._guard.accept(decision.tau)
         if safe is None:
             return self._held(age_ns=age_ns)
-        on_both_feet = self._reference.mode is ContactMode.DOUBLE_SUPPORT
-        self._hold.observe(self._q, safe, on_both_feet=on_both_feet)
+        self._hold.observe(
+            self._q,
+            on_both_feet=self._reference.mode is ContactMode.DOUBLE_SUPPORT,
+            feet_as_standing=self._stays,
+        )
         self._plan.release()
         source = Source.FRESH if decision.sequence == self.tick else decision.source
         if self._stopping and source is not Source.CACHED:

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from shared.robots import Robot
+from shared.robots import Foot, Robot
 from shared.wbc.finite import all_finite
+from shared.wbc.model import WholeBodyModel
 
 # A fallen robot: CoM below this fraction of its standing height, or the base tilted beyond this.
 FALLEN_COM_HEIGHT = 0.6
@@ -20,11 +21,11 @@ _HOLD_DAMPING_PER_EFFORT = 1.0
 # Part of a joint's velocity that its damping may take away in one tick. Above 2 a joint that moves
 # freely swings up instead of coming to rest.
 _HOLD_DAMPING_PER_TICK = 0.5
-# Weight of the newest tick in the averages: a time constant of 50 ms.
+# Weight of the newest tick in the average: a time constant of 50 ms.
 _HOLD_AVERAGE = 0.02
-# Time in which a hold that begins on one foot sets the other foot down [s], and that such a hold
-# lasts at least.
-_SET_DOWN, _LEAST_ON_ONE_FOOT = 0.15, 0.25
+# Time in which the joints move to the standing posture, on both feet and from a step, and that a
+# hold from a step lasts at least [s].
+_STRAIGHTEN, _SET_DOWN, _LEAST_ON_ONE_FOOT = 0.3, 0.15, 0.25
 
 
 class TorqueGuard:
@@ -68,12 +69,17 @@ class TorqueRateLimiter:
 
 
 class JointHold:
-    """Holds the joints at their positions on entry, around the torque applied then.
+    """Holds the joints around the torques that bear the standing robot.
 
     It is the last resort of a robot without a usable projector: the robot stays upright as a statue
-    does, and resists as far as stiff joints can. Posture and torque are averaged over the last
-    ticks, so that the held posture is not one noisy measurement. A statue on one foot would topple:
-    from a step the joints move to the standing posture, in which both feet are on the ground.
+    does, and resists as far as stiff joints can. The posture on entry is averaged over the last
+    ticks, so that it is not one noisy measurement. The torques of those ticks may be those of an
+    old projector that is about to let the robot fall, and do not count.
+
+    If the feet stand as in the standing posture, the joints move to it, and the CoM above the
+    middle of the feet. If they stand elsewhere, the joints stay, because the feet would slide. A
+    statue on one foot would topple: from a step the joints always move to the standing posture, in
+    which both feet are on the ground.
 
     The gains are those of a joint as strong as its effort limit, and no more than a tick of
     `timestep` [s] allows for its inertia. A light joint would otherwise chatter, and shake the feet
@@ -81,9 +87,9 @@ class JointHold:
     """
 
     def __init__(self, robot: Robot, *, timestep: float) -> None:
-        self._standing = robot.q_standing[7:]
         self._timestep = timestep
-        self._on_both_feet, self._ticks = True, 0
+        self._standing = robot.q_standing[7:]
+        self._bearing = _standing_torque(robot)
         inertia = _free_inertia(robot)
         self._damping = np.minimum(
             _HOLD_DAMPING_PER_EFFORT * robot.effort_limit,
@@ -92,33 +98,54 @@ class JointHold:
         self._stiffness = np.minimum(
             _HOLD_STIFFNESS_PER_EFFORT * robot.effort_limit, self._damping**2 / (4.0 * inertia)
         )
-        self._newest = np.empty((2, len(robot.effort_limit)))
-        self._average = np.stack([robot.q_standing[7:], np.zeros_like(robot.effort_limit)])
-        self._posture, self._torque = self._average
+        self._average = self._standing.copy()
+        self._on_both_feet = self._feet_as_standing = True
+        self._ticks = 0
 
-    def observe(self, q: np.ndarray, tau: np.ndarray, *, on_both_feet: bool = True) -> None:
-        """Take in a tick under normal control, at measured q with torque tau, into the averages."""
-        self._on_both_feet, self._ticks = on_both_feet, 0
-        self._newest[0] = q[7:]
-        self._newest[1] = tau
-        self._average += _HOLD_AVERAGE * (self._newest - self._average)
+    def observe(
+        self, q: np.ndarray, *, on_both_feet: bool = True, feet_as_standing: bool = True
+    ) -> None:
+        """Take in a tick under normal control at measured q (nq,).
+
+        `feet_as_standing`: no step has moved the feet from where the standing posture has them.
+        """
+        self._on_both_feet, self._feet_as_standing = on_both_feet, feet_as_standing
+        self._ticks = 0
+        self._average += _HOLD_AVERAGE * (q[7:] - self._average)
 
     @property
     def sets_foot_down(self) -> bool:
         """Return whether the hold has begun on one foot and the other one is not down yet."""
-        return 0 < self._ticks * self._timestep < _LEAST_ON_ONE_FOOT
+        seconds = self._ticks * self._timestep
+        return not self._on_both_feet and 0.0 < seconds < _LEAST_ON_ONE_FOOT
 
     def torque(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Holding torque at (q, v), shape (nv − 6,) [N m]."""
-        posture = self._posture
-        if not self._on_both_feet:
-            self._ticks += 1
-            part = min(1.0, self._ticks * self._timestep / _SET_DOWN)
+        """Holding torque at (q, v) in the next tick of a hold, shape (nv − 6,) [N m]."""
+        self._ticks += 1
+        posture = self._average
+        if self._feet_as_standing or not self._on_both_feet:
+            within = _STRAIGHTEN if self._on_both_feet else _SET_DOWN
+            part = min(1.0, self._ticks * self._timestep / within)
             posture = posture + part * (self._standing - posture)
         torque: np.ndarray = (
-            self._torque + self._stiffness * (posture - q[7:]) - self._damping * v[6:]
+            self._bearing + self._stiffness * (posture - q[7:]) - self._damping * v[6:]
         )
         return torque
+
+
+def _standing_torque(robot: Robot) -> np.ndarray:
+    """Torques of the robot at rest in the standing posture on both feet, (nv − 6,) [N m].
+
+    Of the wrenches on the soles that bear its weight these are the smallest.
+    """
+    model, q = WholeBodyModel(robot), robot.q_standing
+    at_rest = np.zeros(model.nv)
+    weight = model.inverse_dynamics(q, at_rest, at_rest, {}).copy()
+    J_sole = model.jacobians(q).J_sole
+    J_c = np.concatenate([J_sole[foot] for foot in Foot])
+    wrenches = np.linalg.lstsq(J_c[:, :6].T, weight[:6], rcond=None)[0]
+    torque: np.ndarray = weight[6:] - J_c[:, 6:].T.dot(wrenches)
+    return torque
 
 
 def _free_inertia(robot: Robot) -> np.ndarray:

@@ -12,7 +12,7 @@ from robot_node.safety import (
     TorqueRateLimiter,
     has_fallen,
 )
-from shared.robots import load_robot
+from shared.robots import Foot, load_robot
 
 HEIGHT = 0.66
 
@@ -65,74 +65,95 @@ def test_the_guard_leaves_its_input_alone(guard):
     np.testing.assert_array_equal(tau, 1e6)
 
 
-def observed(hold, q, tau, ticks):
+def observed(hold, q, ticks, **where):
     for _ in range(ticks):
-        hold.observe(q, tau)
+        hold.observe(q, **where)
     return hold
 
 
-def test_holding_goes_on_with_the_posture_and_the_torque_of_before(hold, robot, rng):
-    q, tau = robot.q_standing.copy(), rng.standard_normal(31)
+STILL = np.zeros(37)
+ELSEWHERE = {"feet_as_standing": False}
+
+
+@pytest.fixture
+def bearing(robot):
+    """The torques of a hold that pulls nowhere."""
+    return JointHold(robot, timestep=1e-3).torque(robot.q_standing, STILL)
+
+
+def test_the_torques_of_a_hold_bear_the_standing_robot(robot, model, bearing):
+    # With some wrenches on the soles, nothing accelerates: also the base, which has no motor.
+    J_sole = model.jacobians(robot.q_standing).J_sole
+    J_c = np.concatenate([J_sole[foot] for foot in Foot])
+    weight = model.inverse_dynamics(robot.q_standing, STILL, STILL, {}).copy()
+    needed = weight - np.concatenate([np.zeros(6), bearing])
+    wrenches, *_ = np.linalg.lstsq(J_c.T, needed, rcond=None)
+    np.testing.assert_allclose(J_c.T @ wrenches, needed, atol=1e-9)
+    # Each foot bears half of the weight.
+    assert wrenches[2] == pytest.approx(robot.mass * 9.81 / 2, rel=1e-3)
+
+
+def test_on_feet_that_stand_elsewhere_the_posture_of_before_is_held(hold, robot, bearing):
+    q = robot.q_standing.copy()
     q[7:] += 0.3
     # A second of 1 kHz, twenty time constants of the average: e⁻²⁰ of the difference is left.
-    observed(hold, q, tau, 1000)
-    np.testing.assert_allclose(hold.torque(q, np.zeros(37)), tau, atol=1e-5)
+    observed(hold, q, 1000, **ELSEWHERE)
+    for _ in range(400):
+        np.testing.assert_allclose(hold.torque(q, STILL), bearing, atol=1e-5)
+    assert not hold.sets_foot_down
 
 
-def test_a_robot_that_was_never_controlled_holds_its_standing_posture(hold, robot):
-    np.testing.assert_array_equal(hold.torque(robot.q_standing, np.zeros(37)), 0.0)
-
-
-def test_a_joint_that_leaves_is_pulled_back_and_braked(hold, robot):
+def test_a_joint_that_leaves_is_pulled_back_and_braked(hold, robot, bearing):
     q, v = robot.q_standing.copy(), np.zeros(37)
     q[7 + 3] += 0.1
     v[6 + 5] = 1.0
-    tau = hold.torque(q, v)
+    tau = hold.torque(q, v) - bearing
     assert tau[3] < 0.0
     assert tau[5] < 0.0
     np.testing.assert_array_equal(np.delete(tau, [3, 5]), 0.0)
 
 
 def test_what_is_held_does_not_move_while_it_is_held(hold, robot, rng):
-    observed(hold, robot.q_standing, np.full(31, 2.0), 1000)
-    before = hold.torque(robot.q_standing, np.zeros(37))
+    observed(hold, robot.q_standing, 1000, **ELSEWHERE)
+    before = hold.torque(robot.q_standing, STILL)
     for _ in range(100):
         q = robot.q_standing.copy()
         q[7:] += rng.standard_normal(31)
         hold.torque(q, rng.standard_normal(37))
-    np.testing.assert_array_equal(hold.torque(robot.q_standing, np.zeros(37)), before)
+    np.testing.assert_array_equal(hold.torque(robot.q_standing, STILL), before)
 
 
-def test_what_is_held_follows_a_new_posture_within_a_tenth_of_a_second(hold, robot):
+def test_what_is_held_follows_a_new_posture_within_a_tenth_of_a_second(hold, robot, bearing):
     q = robot.q_standing.copy()
     q[7:] += 0.1
-    start = hold.torque(q, np.zeros(37))
+    hold.observe(robot.q_standing, **ELSEWHERE)
+    start = hold.torque(q, STILL) - bearing
     # A time constant of 50 ms: 1/e of the way is left after 50 ticks, 1/e² after 100.
     for share in (np.exp(-1.0), np.exp(-2.0)):
-        left = observed(hold, q, np.zeros(31), 50).torque(q, np.zeros(37))
+        left = observed(hold, q, 50, **ELSEWHERE).torque(q, STILL) - bearing
         np.testing.assert_allclose(left, share * start, rtol=0.03)
 
 
-def test_one_noisy_measurement_is_not_what_is_held(hold, robot, rng):
+def test_one_noisy_measurement_is_not_what_is_held(hold, robot, rng, bearing):
     sigma, away = 1e-2, robot.q_standing.copy()
     away[7:] += 1.0
-    stiffness = -hold.torque(away, np.zeros(37))
+    hold.observe(robot.q_standing, **ELSEWHERE)
+    stiffness = bearing - hold.torque(away, STILL)
     for _ in range(500):
         q = robot.q_standing.copy()
         q[7:] += sigma * rng.standard_normal(31)
-        hold.observe(q, np.zeros(31))
-    offset = hold.torque(robot.q_standing, np.zeros(37)) / stiffness
+        hold.observe(q, **ELSEWHERE)
+    offset = (hold.torque(robot.q_standing, STILL) - bearing) / stiffness
     # The average lets √(0.02 / 1.98) = 0.1 of σ through; the largest of 31 is below 4 of those.
     assert np.abs(offset).max() < 4 * 0.1 * sigma
 
 
 def test_what_is_held_does_not_follow_arrays_that_change(hold, robot):
-    q, tau = robot.q_standing.copy(), np.full(31, 2.0)
-    observed(hold, q, tau, 10)
-    before = hold.torque(robot.q_standing, np.zeros(37))
-    tau[:] = 50.0
+    q = robot.q_standing.copy()
+    observed(hold, q, 10, **ELSEWHERE)
+    before = hold.torque(robot.q_standing, STILL)
     q[7:] += 1.0
-    np.testing.assert_array_equal(hold.torque(robot.q_standing, np.zeros(37)), before)
+    np.testing.assert_array_equal(hold.torque(robot.q_standing, STILL), before)
 
 
 @pytest.mark.parametrize("name", ["romeo", "talos"])
@@ -153,32 +174,33 @@ def test_no_joint_swings_up_under_the_hold_of_a_robot_in_the_air(name):
         assert np.abs(v[6:]).max() < 1.0, model.names[2 + joint]
 
 
-def test_a_hold_that_begins_on_one_foot_moves_to_the_standing_posture(hold, robot):
+@pytest.mark.parametrize(
+    ("where", "ticks"), [({"on_both_feet": False, **ELSEWHERE}, 150), ({}, 300)]
+)
+def test_joints_move_to_the_standing_posture_where_both_feet_are_down(
+    hold, robot, bearing, where, ticks
+):
     q = robot.q_standing.copy()
     q[7:] += 0.1
-    for _ in range(1000):
-        hold.observe(q, np.zeros(31), on_both_feet=False)
-    assert not hold.sets_foot_down
-    still = np.zeros(37)
-    # Of a tenth of a radian, 1 ms of 150 is asked for at first, and all of it from 150 ms on.
-    np.testing.assert_allclose(
-        hold.torque(q, still), hold.torque(robot.q_standing, still) / -149.0, rtol=0.02
-    )
-    for _ in range(148):
-        assert hold.sets_foot_down
-        hold.torque(q, still)
-    np.testing.assert_allclose(hold.torque(robot.q_standing, still), 0.0, atol=1e-9)
-    for _ in range(100):
-        hold.torque(q, still)
-    assert not hold.sets_foot_down
+    observed(hold, q, 1000, **where)
+    first = hold.torque(q, STILL) - bearing
+    for _ in range(ticks - 2):
+        hold.torque(q, STILL)
+    last = hold.torque(q, STILL) - bearing
+    np.testing.assert_allclose(first, last / ticks, rtol=1e-3)
+    assert last[3] < -1.0
+    np.testing.assert_allclose(hold.torque(robot.q_standing, STILL), bearing, atol=1e-9)
 
 
-def test_a_hold_on_both_feet_does_not_move_them(hold, robot):
-    q = robot.q_standing.copy()
-    q[7:] += 0.1
-    observed(hold, q, np.zeros(31), 1000)
-    for _ in range(300):
-        np.testing.assert_allclose(hold.torque(q, np.zeros(37)), 0.0, atol=1e-3)
+def test_a_hold_sets_a_foot_down_for_a_quarter_of_a_second(hold, robot):
+    observed(hold, robot.q_standing, 1, on_both_feet=False)
+    shown = []
+    for _ in range(260):
+        shown.append(hold.sets_foot_down)
+        hold.torque(robot.q_standing, STILL)
+    assert shown == [False] + 249 * [True] + 10 * [False]
+    observed(hold, robot.q_standing, 1)
+    hold.torque(robot.q_standing, STILL)
     assert not hold.sets_foot_down
 
 
