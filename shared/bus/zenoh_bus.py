@@ -37,6 +37,9 @@ from shared.errors import LinkError
 _LINK_BATCHES, _LOCAL_BATCHES = 4, 16
 _SMALL_MESSAGE = 1_000
 _SMALL_SEND_BUFFER, _SEND_BUFFER, _LOCAL_SEND_BUFFER = 32_768, 131_072, 262_144
+# Bytes of a datagram: with its headers, one packet of 1500. Larger ones travel as IP fragments, and
+# while some packets are lost the kernel keeps the rest for 30 s, until it takes no more.
+_DATAGRAM = 1400
 # A robot that has lost its edge cannot wait for Zenoh's four seconds between two attempts.
 _RETRY = {"period_init_ms": 200, "period_max_ms": 500, "period_increase_factor": 2}
 # A stack of five services needs about half of these.
@@ -107,6 +110,7 @@ class ZenohBus:
             "transport/link/tcp/so_sndbuf": send_buffer,
             "transport/link/tls/so_sndbuf": send_buffer,
             **({"transport/link/tx/lease": round(1e3 * lease)} if protocols == {"tcp"} else {}),
+            **({"transport/link/tx/batch_size": _DATAGRAM} if "udp" in protocols else {}),
             **({} if credentials is None else credentials.settings()),
             **(settings or {}),
         }.items():

@@ -127,14 +127,13 @@ def test_beyond_its_age_limit_the_cache_is_not_used_and_the_joints_are_held(benc
     assert played.commands[3].age_ns == 3 * MS + DEADLINE_NS
 
 
-def test_what_is_held_is_what_was_controlled_before(bench, robot):
+def test_the_joints_are_held_from_where_they_were_controlled_before(bench, robot):
     played, expected = bench(**{"loop.hold_after": 1e-3}), JointHold(robot, timestep=1e-3)
     guard = TorqueGuard(robot, clamp=1.45)
     for _ in range(30):
         played.tick()
         expected.observe(played.codec.decode_state(played.sent).q)
-    played.tick(deliver=nothing)  # 1.5 ms old: held from here on
-    for _ in range(3):
+    for _ in range(4):  # 1.5 ms old: held from here on
         command = played.tick(deliver=nothing)
         state = played.codec.decode_state(played.sent)
         tau = guard.accept(expected.torque(state.q, state.v))
