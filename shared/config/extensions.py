@@ -1,7 +1,7 @@
 """The values of a setting that others can extend, and the objects that they name.
 
 A value is one of the project's names, a name that an installed package announces by an entry point,
-or a reference: `package.module:Name`, or `path/file.py:Name` for a file of one's own.
+or a reference: `package.module:Name`, or `path/file.py:Name` for the user's file.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,9 +45,8 @@ def ticks(count, *, waiting=0):
 
 
 def robot_part(rows, **changes):
-    counts = {"fell": False, "wall_seconds": 2.0, "sent": 10, "received": 8, "lost": 1}
-    for name in ("refused", "answers", "sensor_faults"):
-        counts[name] = {}
+    counts: dict[str, Any] = {"fell": False, "wall_seconds": 2.0, "sent": 10, "received": 8}
+    counts |= {"lost": 1, "refused": {}, "answers": {}, "sensor_faults": {}}
     return robot_report(SCHEMA, rows, **{**counts, **changes})
 
 
