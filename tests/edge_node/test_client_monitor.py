@@ -47,3 +47,28 @@ def test_what_an_earlier_visitor_did_is_not_told_of_the_next(monitor):
     monitor.look(2000 * MS, heard=False, refused={"config": 5})
     assert len(monitor.look(3000 * MS, heard=True, refused={"config": 5})) == 1
     assert len(monitor.look(3001 * MS, heard=True, refused={"config": 6})) == 1
+
+
+def test_two_robots_of_one_name_are_reported_each_time_that_they_meet(monitor):
+    monitor.look(0, heard=True, refused={})
+    for _ in range(2):
+        lines = monitor.look(1 * MS, heard=True, refused={}, shared=1)
+    assert lines == []
+    (line,) = monitor.look(2 * MS, heard=True, refused={}, shared=2)
+    assert "two robots send states under this name" in line
+    assert "--name" in line
+
+
+def test_a_session_that_begins_anew_is_reported_once(monitor):
+    monitor.look(0, heard=True, refused={})
+    (line,) = monitor.look(1 * MS, heard=True, refused={}, renewed=1)
+    assert "far ahead" in line
+    assert monitor.look(2 * MS, heard=True, refused={}, renewed=2) == []
+
+
+@pytest.mark.parametrize("reason", ["limits", "ahead", "crowded"])
+def test_refusals_of_states_that_cannot_be_have_a_hint(monitor, reason):
+    monitor.look(0, heard=True, refused={})
+    (line,) = monitor.look(1 * MS, heard=True, refused={reason: 1})
+    assert f"({reason})" in line
+    assert "docs/wire.md" not in line

@@ -64,3 +64,21 @@ def test_ahead_of_a_slow_robot_is_no_further_than_its_velocity_can_tell():
 
 def test_ahead_of_a_robot_at_rest_is_where_it_is():
     np.testing.assert_array_equal(play([0.4], [0.0]).ahead(0.05), np.full(JOINTS, 0.4))
+
+
+@pytest.mark.parametrize("jump", [50.0, -0.6])
+def test_a_joint_that_jumps_for_a_moment_is_not_followed(jump):
+    clean, glitched = np.full((60, JOINTS), 0.3), np.full((60, JOINTS), 0.3)
+    glitched[30, 4] += jump
+    glitched[40:43, 4] += jump
+    speeds = np.zeros(60)
+    np.testing.assert_allclose(play(glitched, speeds).now, play(clean, speeds).now, atol=1e-12)
+
+
+def test_a_joint_that_has_moved_for_good_is_followed_after_50_ms():
+    positions = np.full((120, JOINTS), 0.3)
+    positions[30:, 4] = 2.0
+    for ticks, expected in ((80, 0.3), (81, 2.0), (120, 2.0)):
+        estimate = play(positions[:ticks], np.zeros(ticks))
+        np.testing.assert_allclose(estimate.now[4], expected)
+        np.testing.assert_allclose(estimate.now[:4], 0.3)

@@ -112,3 +112,13 @@ def test_the_next_process_keeps_the_files_of_the_one_before(tmp_path: Path):
     for name, life in (("edge.1", 1.0), ("edge", 2.0)):
         assert read_parquet(tmp_path / f"{name}.parquet")[1].tolist() == [[life]]
         assert (tmp_path / f"{name}.json").exists()
+
+
+def test_an_edge_may_have_several_names_and_a_robot_has_one(parse):
+    me = identity_from(parse("--name", "amy, ben,amy"), role="edge", kind="romeo", several=True)
+    assert me.robots == ("amy", "ben")
+    for name in ("amy,ben", "amy,"):
+        with pytest.raises(ConfigError, match="name"):
+            identity_from(parse("--name", name), role=None, kind="romeo")
+    with pytest.raises(ConfigError, match="name"):
+        identity_from(parse("--name", "amy,"), role="edge", kind="romeo", several=True)
