@@ -94,7 +94,7 @@ class StackRun:
             ending.append(signal.SIGHUP)
         for number in ending:
             loop.add_signal_handler(number, self._stop.set)
-        with self._claimed(), private_socket() as telemetry:
+        with self._claimed(), private_socket(self._folder.folder) as telemetry:
             for line in (f"run folder: {self._out}", *self._run.plan.notes):
                 self._terminal.tell(line)
             self._telemetry = telemetry

@@ -23,6 +23,7 @@ from shared.regular_file import read_regular
 # Every command that takes a file of settings, and every one that takes a profile.
 WITH_SETTINGS = (
     ("trial", "--config"),
+    ("config", "--config"),
     ("up", "--config"),
     ("atlas", "--config"),
     ("netem", "replay", "constant:10ms", "--config"),

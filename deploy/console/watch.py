@@ -14,6 +14,7 @@ begin(__name__)
 
 import contextlib
 import os
+import re
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -36,8 +37,9 @@ from shared.telemetry.schema import tick_schema
 from shared.wire.channels import LINK_KEY, TICKS_KEY
 
 _SOCKET = "unixsock-stream/"
-# The path of a socket has at most 107 characters.
-_MAX_SOCKET_FOLDER = 80
+# The system allows 107 characters. Zenoh adds a file with five more.
+_MAX_SOCKET_PATH = 100
+_PLAIN_PATH = re.compile(r"[\w./+-]+", re.ASCII)
 _PERIOD_SECONDS = 0.1
 
 
@@ -105,11 +107,17 @@ def status_of(config: RunConfig) -> Status:
 
 
 @contextlib.contextmanager
-def private_socket() -> Iterator[str]:
-    """Yield the endpoint of a socket in a temporary folder that no other user may enter."""
-    long = len(tempfile.gettempdir()) > _MAX_SOCKET_FOLDER
-    with tempfile.TemporaryDirectory(prefix="wbc-", dir="/tmp" if long else None) as folder:
-        yield f"{_SOCKET}{folder}/hub"
+def private_socket(folder: Path) -> Iterator[str]:
+    """Yield the endpoint of a socket in a private folder, or in a temporary one if it must be.
+
+    The path of a socket is short, and Zenoh takes some characters in it for settings.
+    """
+    path = str(folder.absolute() / "hub")
+    if len(path) <= _MAX_SOCKET_PATH and _PLAIN_PATH.fullmatch(path):
+        yield f"{_SOCKET}{path}"
+        return
+    with tempfile.TemporaryDirectory(prefix="wbc-", dir="/tmp") as temporary:
+        yield f"{_SOCKET}{temporary}/hub"
 
 
 def open_hub(endpoint: str, status: Status, robot: str) -> ZenohBus:

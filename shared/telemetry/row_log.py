@@ -18,6 +18,7 @@ import os
 import queue
 import threading
 from collections.abc import Callable, Iterator
+from io import BufferedWriter
 from pathlib import Path
 
 import msgpack
@@ -30,6 +31,7 @@ BLOCK_ROWS = 100
 _FLOAT_BYTES = np.dtype(np.float64).itemsize
 # A longer first line is not the line of columns.
 _MAX_HEADER_BYTES = 65_536
+_NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
 # Others hold the lock for a moment, to see whether this process lives.
 _LOCK_SECONDS = 1.0
 
@@ -60,8 +62,10 @@ class RowLog:
         self._block = np.zeros((BLOCK_ROWS, schema.width))
         self._used = 0
         self._queue: queue.SimpleQueue[np.ndarray | None] = queue.SimpleQueue()
-        self._file = path.open("wb") if path is not None else None
-        if self._file is not None:
+        self._file: BufferedWriter | None = None
+        if path is not None:
+            # For this user alone: others could hold its lock.
+            self._file = os.fdopen(os.open(path, _NEW_FILE, 0o600), "wb")
             with self._keeping_failure():
                 lock(self._file, within=_LOCK_SECONDS)
                 self._file.write(_header(schema))

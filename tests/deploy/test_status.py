@@ -260,8 +260,11 @@ def test_an_error_in_the_status_is_shown_and_ends_nothing(status, monkeypatch, c
     )
 
 
-def test_the_hub_is_a_socket_that_no_other_user_can_reach(status):
-    with private_socket() as endpoint:
+@pytest.mark.parametrize("name", ["run", "a name with blanks", "long" * 30, "a#b"])
+def test_the_hub_is_a_socket_that_no_other_user_can_reach(status, name: str, tmp_path: Path):
+    folder = tmp_path / name
+    folder.mkdir(0o700)
+    with private_socket(folder) as endpoint:
         hub = open_hub(endpoint, status, "romeo")
         try:
             file = Path(endpoint.removeprefix("unixsock-stream/"))
@@ -270,6 +273,11 @@ def test_the_hub_is_a_socket_that_no_other_user_can_reach(status):
             assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
         finally:
             hub.close()
-    assert not file.parent.exists()
+    assert not file.exists()
+    # Nothing is left in a temporary folder.
+    assert not file.parent.exists() or list(folder.iterdir()) == []
+
+
+def test_a_hub_that_others_could_reach_is_refused(status):
     with pytest.raises(LinkError, match="expected unixsock-stream/FILE"):
         open_hub("tcp/127.0.0.1:7450", status, "romeo")

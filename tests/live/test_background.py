@@ -7,6 +7,7 @@ import os
 import re
 import signal
 import socket
+import stat
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -77,6 +78,11 @@ def test_a_stack_in_the_background_from_its_start_to_its_end(start: Start, tmp_p
     assert " robot | READY" in started.stdout
     assert "\x1b" not in started.stdout
     ports = ports_of(run)
+    # Another user reaches neither the locks nor the sockets.
+    assert stat.S_IMODE((run / "stack").stat().st_mode) == 0o700
+    for name in ("lock", "state", "hub", "control"):
+        assert stat.S_IMODE((run / "stack" / name).stat().st_mode) == 0o600
+    assert stat.S_IMODE((run / "telemetry.rows").stat().st_mode) == 0o600
 
     shown = message("ps")
     assert shown.returncode == 0

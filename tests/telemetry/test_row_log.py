@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 import threading
 import time
 
@@ -201,6 +202,8 @@ def test_an_error_of_a_watcher_does_not_end_the_file(tmp_path):
 def test_a_file_is_locked_while_its_rows_are_written(tmp_path):
     log = RowLog(SCHEMA, path=tmp_path / "x")
     assert is_locked(tmp_path / "x")
+    # Another user who could read it could hold its lock.
+    assert stat.S_IMODE((tmp_path / "x").stat().st_mode) == 0o600
     log.close()
     assert not is_locked(tmp_path / "x")
 
