@@ -27,6 +27,8 @@ from deploy.services import HELD, IGNORED, OUTCOME, Service
 from shared.commands import wbc
 from shared.errors import ConfigError, LinkError, one_of
 
+_CANCEL_SECONDS = 0.1
+
 
 @dataclass(frozen=True)
 class Launch:
@@ -157,13 +159,13 @@ class Supervisor:
     async def stop(self) -> None:
         """End all services, last started first; kill a service that takes too long."""
         children = list(reversed(self._children.values()))
-        for child in children:
-            if child.watch is not None:
-                child.watch.cancel()
         # A restart that is cancelled may still have begun a process.
-        await asyncio.gather(
-            *(child.watch for child in children if child.watch is not None), return_exceptions=True
-        )
+        watches = {child.watch for child in children if child.watch is not None}
+        while watches:
+            for watch in watches:
+                watch.cancel()
+            # Again until it is heard: a wait that ends at this moment may lose the request.
+            _, watches = await asyncio.wait(watches, timeout=_CANCEL_SECONDS)
         # The number of a process that has ended may belong to another process by now.
         children = [child for child in children if child.state != ENDED]
         for child in children:
@@ -174,9 +176,12 @@ class Supervisor:
 
     async def _begin(self, child: _Child) -> None:
         child.ready.clear()
-        child.over = False
         held = HELD in child.launch.service.takes
-        child.process = await start_process(child.launch.command, held=held)
+        try:
+            child.process = await start_process(child.launch.command, held=held)
+        except OSError as error:
+            raise LinkError(f"{child.name} cannot be started: {error.strerror or error}") from None
+        child.over = False
         child.reader = asyncio.create_task(self._read(child))
         self._children[child.name] = child
         self._put(child, STARTING)
@@ -222,17 +227,17 @@ class Supervisor:
         """Wait for the end of a process, and return its code. A long life forgives failures."""
         service = child.launch.service
         if child.failures:
-            seconds = service.window_seconds
-            began = time.monotonic()
+            seconds, began = service.window_seconds, time.monotonic()
+            degraded = service.degraded(child.failures)
+            # Not `wait_for`, which may lose a request to end if the process ends at that moment.
+            waiting = asyncio.ensure_future(child.process.wait())
             try:
-                await asyncio.wait_for(child.process.wait(), seconds)
-            except asyncio.TimeoutError:
-                child.degraded_seconds += seconds if service.degraded(child.failures) else 0.0
-                child.failures = 0
-                self._say(child.name, f"has run for {seconds:g} s: its failures are forgotten")
-                self._changed()
-            else:
-                if service.degraded(child.failures):
+                if waiting not in (await asyncio.wait({waiting}, timeout=seconds))[0]:
+                    child.failures = 0
+                    self._say(child.name, f"has run for {seconds:g} s: its failures are forgotten")
+                    self._changed()
+            finally:
+                if degraded:
                     child.degraded_seconds += time.monotonic() - began
         return await child.process.wait()
 
@@ -266,8 +271,10 @@ class Supervisor:
         except LinkError as error:
             if not back.done():
                 back.set_exception(error)
-            await self._finish(child)
-            return
+            if not child.launch.service.restarts:
+                await self._finish(child)
+                return
+            await self._start_again(child, str(error))
         except asyncio.CancelledError:
             back.cancel()
             raise

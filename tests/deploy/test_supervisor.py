@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
+from deploy import supervisor
 from deploy.background.state import ENDED, READY, WAITING
 from deploy.services import load_services
 from deploy.supervisor import Launch, Supervisor
@@ -328,6 +330,40 @@ def test_a_restart_that_does_not_come_back_is_an_error_and_the_end(tmp_path: Pat
             await run.supervisor.restart("netem")
         service, exit_code = await run.supervisor.wait()
         assert (service.name, exit_code) == ("netem", 1)
+
+    played(tmp_path, scenario)
+
+
+def test_a_restart_of_an_edge_that_fails_is_an_error_and_tried_again(tmp_path: Path):
+    code = (
+        f"import pathlib; p = pathlib.Path('{tmp_path / 'lives'}'); "
+        "n = len(p.read_text()) if p.exists() else 0; p.write_text('x' * (n + 1)); "
+        f"n == 1 and exit('error: cannot'); {SLEEPS}"
+    )
+
+    async def scenario(run: Run):
+        await run.start("edge", code)
+        with pytest.raises(LinkError, match="edge did not start"):
+            await run.supervisor.restart("edge")
+        while run.state("edge") != READY:
+            await asyncio.sleep(0.01)
+        assert run.supervisor.states()[0].restarts == 2
+
+    played(tmp_path, scenario)
+
+
+def test_a_process_that_the_system_refuses_is_an_error(tmp_path: Path, monkeypatch):
+    async def refuse(*arguments, **options):
+        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    async def scenario(run: Run):
+        await run.start("edge", FAILS_ONCE.format(tmp_path / "first"), restart="on-failure:1/60s")
+        monkeypatch.setattr(supervisor, "start_process", refuse)
+        reason = "edge cannot be started: Resource temporarily unavailable"
+        await run.wait_for(f"edge: {reason}: starts again in 1 s (degraded), failure 2")
+        monkeypatch.undo()
+        while run.state("edge") != READY:
+            await asyncio.sleep(0.01)
 
     played(tmp_path, scenario)
 
