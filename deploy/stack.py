@@ -110,6 +110,9 @@ class StackRun:
                 self._terminal.clear()
                 self._put(STOPPING)
                 await self._supervisor.stop()
+            # Events of the last rows, which have come since the robot ended.
+            for event in self._status.take_events():
+                self._terminal.say(event.name, event.text)
             outcome = self._sum_up()
             hub.close()
             if failure is not None:

@@ -15,11 +15,8 @@ from shared.telemetry.row_log import decode_rows
 from shared.telemetry.schema import LINK_SCHEMA, Schema, Source
 from shared.wbc.contacts import ContactMode
 
-# The columns that the line and the events show.
-_SHOWN = (
-    *("time_ns", "wall_ns", "source", "mode", "com_error_m", "push_n", "projector_age_ns"),
-    "overruns",
-)
+# The columns whose numbers are times, kinds and forces.
+_SHOWN = ("time_ns", "wall_ns", "source", "mode", "push_n", "projector_age_ns", "overruns")
 # Beyond, a time is no count of nanoseconds.
 _LIMIT = 2.0**62
 _BARS = "▁▂▃▄▅▆▇█"
