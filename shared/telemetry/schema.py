@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,11 +31,16 @@ class Source(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Column:
-    """One column: a scalar (`width` 1) or a fixed-size vector; `kind` is its Parquet type."""
+    """One column: a scalar (`width` 1) or a fixed-size vector; `kind` is its Parquet type.
+
+    `unit` and `help` are for the reference of columns. A file does not contain them.
+    """
 
     name: str
     width: int = 1
     kind: str = "float64"
+    unit: str = field(default="", compare=False, kw_only=True)
+    help: str = field(default="", compare=False, kw_only=True)
 
 
 class Schema:
@@ -56,66 +61,117 @@ class Schema:
         return values[:, 0] if values.shape[1] == 1 else values
 
 
-# One row per tick of the robot. Times in ns: `time_ns` of the task (negative while waiting for the
-# edge), `wall_ns` of the robot's clock. `source` is a `Source`.
-# `q`, `v` true state, Pinocchio order; `f` commanded forces at the four points of both soles, zero
-# where unloaded [N].
-# `foot_slip_m` of the left and right foot since it was loaded, NaN in the air. `plan_in_world`: the
-# plan's frame, x, y [m] and heading [rad]; `plan_time_ns`: the plan's time, which a joint hold may
-# advance (`docs/maths.md`). `com_reference` is in the world. `active_set` and
-# `projector_sequence` are those of the command's projector: its bit mask (`Projector.active_set`)
-# and the tick whose state it came from; −1 if none. `on_board_qps`: QPs begun on board so far.
-# `contraction`, `staleness_rad`: as in `robot_node.controllers.Decision`, NaN if not corrected.
 def tick_schema(*, nq: int, nv: int) -> Schema:
-    """Return the schema of a robot's telemetry."""
+    """Return the schema of the robot's telemetry: a row per tick."""
+    integer, small = "int64", "int8"
     return Schema(
-        Column("tick", kind="int64"),
-        Column("time_ns", kind="int64"),
-        Column("wall_ns", kind="int64"),
-        Column("source", kind="int8"),
-        Column("mode", kind="int8"),
-        Column("q", nq),
-        Column("v", nv),
-        Column("tau", nv - 6),
-        Column("f", 24),
-        Column("com", 3),
-        Column("com_reference", 3),
-        Column("com_error_m"),
-        Column("contact_violation_m_s2"),
-        Column("push_n", 3),
-        Column("foot_slip_m", 2),
-        Column("plan_in_world", 3),
-        Column("plan_time_ns", kind="int64"),
-        Column("projector_age_ns", kind="int64"),
-        Column("projector_sequence", kind="int64"),
-        Column("active_set", kind="int64"),
-        Column("on_board_qps", kind="int64"),
-        Column("contraction"),
-        Column("staleness_rad"),
-        Column("tick_ns", kind="int64"),
-        Column("late_ns", kind="int64"),
-        Column("overruns", kind="int64"),
-        Column("refused", kind="int64"),
+        Column("tick", kind=integer, help="number of the tick"),
+        Column(
+            "time_ns",
+            kind=integer,
+            unit="ns",
+            help="time of the task; negative while the robot waits for the edge",
+        ),
+        Column("wall_ns", kind=integer, unit="ns", help="robot's clock at the measurement"),
+        Column("source", kind=small, help="source of the command, a `Source`"),
+        Column("mode", kind=small, help="planned contact mode: 0 double, 1 left, 2 right support"),
+        Column("q", nq, unit="m, rad", help="true configuration, in Pinocchio's order"),
+        Column("v", nv, unit="m/s, rad/s", help="true velocity, in Pinocchio's order"),
+        Column("tau", nv - 6, unit="N m", help="commanded joint torques, after the clamp"),
+        Column(
+            "f",
+            24,
+            unit="N",
+            help="commanded forces at the four points of the left, then the right sole, in the "
+            "sole's frame; 0 for a foot without load",
+        ),
+        Column("com", 3, unit="m", help="true CoM, in the world"),
+        Column("com_reference", 3, unit="m", help="reference of the CoM, in the world"),
+        Column("com_error_m", unit="m", help="distance of the CoM from its reference"),
+        Column(
+            "contact_violation_m_s2",
+            unit="m/s²",
+            help="norm of J_c a + J̇_c v + k_d J_c v for the commanded a at the measured state",
+        ),
+        Column("push_n", 3, unit="N", help="push on the base, in the world"),
+        Column(
+            "foot_slip_m",
+            2,
+            unit="m",
+            help="slip of the left and the right sole since it was loaded; NaN in the air",
+        ),
+        Column(
+            "plan_in_world",
+            3,
+            unit="m, m, rad",
+            help="frame of the plan in the world: x, y and heading",
+        ),
+        Column(
+            "plan_time_ns",
+            kind=integer,
+            unit="ns",
+            help="time of the plan, which a joint hold may advance",
+        ),
+        Column(
+            "projector_age_ns",
+            kind=integer,
+            unit="ns",
+            help="age of the answer behind the command; −1 without one",
+        ),
+        Column(
+            "projector_sequence",
+            kind=integer,
+            help="tick whose state that answer is for; −1 without one",
+        ),
+        Column(
+            "active_set",
+            kind=integer,
+            help="active rows of C in the command: bit 20 k + i for row i of foot k, left before "
+            "right; −1 without an answer",
+        ),
+        Column("on_board_qps", kind=integer, help="QPs begun on board so far"),
+        Column(
+            "contraction",
+            help="estimated contraction of LC's correction; NaN without a correction",
+        ),
+        Column(
+            "staleness_rad",
+            unit="rad",
+            help="largest distance of a joint from its position at LC's factorisation; NaN "
+            "without a correction",
+        ),
+        Column("tick_ns", kind=integer, unit="ns", help="duration of the tick's computation"),
+        Column("late_ns", kind=integer, unit="ns", help="lateness of the tick's start"),
+        Column("overruns", kind=integer, help="ticks left out so far"),
+        Column("refused", kind=integer, help="messages refused so far"),
     )
 
 
-# One row per message through the shim. `direction` 0 up, 1 down; `achieved_ns` is −1 if dropped.
 LINK_SCHEMA = Schema(
-    Column("wall_ns", kind="int64"),
-    Column("direction", kind="int8"),
-    Column("sequence", kind="int64"),
-    Column("bytes", kind="int64"),
-    Column("nominal_ns", kind="int64"),
-    Column("achieved_ns", kind="int64"),
+    Column("wall_ns", kind="int64", unit="ns", help="sending of the message, by the shim's clock"),
+    Column("direction", kind="int8", help="0 uplink, 1 downlink"),
+    Column("sequence", kind="int64", help="number of the message, by its sender"),
+    Column("bytes", kind="int64", unit="bytes", help="size of the message"),
+    Column("nominal_ns", kind="int64", unit="ns", help="delay by the profile"),
+    Column(
+        "achieved_ns",
+        kind="int64",
+        unit="ns",
+        help="delay from the sending to the delivery; −1 if the message was dropped",
+    ),
 )
+"""A row per message through the shim."""
 
-# One row per state the edge worked on. `status` is the index in `shared.wbc.qp.QpStatus`;
-# `active_set` as `Projector.active_set`, −1 without a solution.
 SOLVE_SCHEMA = Schema(
-    Column("wall_ns", kind="int64"),
-    Column("state_sequence", kind="int64"),
-    Column("solve_ns", kind="int64"),
-    Column("status", kind="int8"),
-    Column("iterations", kind="int64"),
-    Column("active_set", kind="int64"),
+    Column("wall_ns", kind="int64", unit="ns", help="edge's clock at the solve"),
+    Column("state_sequence", kind="int64", help="tick of the state"),
+    Column("solve_ns", kind="int64", unit="ns", help="duration of the solve"),
+    Column("status", kind="int8", help="index in `shared.wbc.qp.QpStatus`"),
+    Column("iterations", kind="int64", help="iterations of the solver"),
+    Column(
+        "active_set",
+        kind="int64",
+        help="active rows of C at the optimum, as in the robot's rows; −1 without a solution",
+    ),
 )
+"""A row per state that the edge worked on."""
