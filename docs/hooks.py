@@ -1,12 +1,15 @@
-"""Hooks of MkDocs for the docs site: equations, and pages for the sources that pages link to.
+"""Hooks of MkDocs for the docs site: equations, and pages that are not in docs/.
 
-The pages can also be read in the repository. There an equation is a fence ```math, and a link to a
-file outside of docs/ is relative. On the site an equation is MathML, which browsers show without a
-script, and each such file has a page.
+The pages can also be read in the repository. There an equation is a fence ```math, a subscript is
+`J_c`, and a link to a file outside of docs/ is relative. On the site an equation is MathML, which
+browsers show without a script, a subscript is lowered, and each such file has a page. The site also
+has the pages of `docs.reference_pages` and the notebook.
 """
 
 from __future__ import annotations
 
+import base64
+import json
 import posixpath
 import re
 from pathlib import Path
@@ -18,7 +21,21 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 from pymdownx.superfences import SuperFencesException
 
+from docs.reference_pages import pages
+
 ROOT = Path(__file__).parents[1]
+# Files outside of docs/ with a page that is not their source.
+_PAGES = {
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "examples/two_runs.ipynb": "notebook.md",
+}
+# J_c, ω_f, s̈_ref, C_𝒜: a letter with its marks, and a short subscript.
+_SUBSCRIPT = re.compile(
+    r"((?<![\w/.])[^\W\d_][\u0300-\u036f]*|\))_([A-Za-z0-9𝒜ρ]{1,3}(?:,[a-z])?)(?![A-Za-z0-9_])"
+)
+_TAG = re.compile(r"(<[^>]*>)")
+_VERBATIM = re.compile(r"<(/?)(?:code|pre|math|script|style|h\d)\b")
 _OUTSIDE = re.compile(r"\]\(((?:\.\./)+[^)#\s]+)")
 _LANGUAGES = {".py": "python", ".toml": "toml", ".yaml": "yaml", ".yml": "yaml", ".md": "markdown"}
 
@@ -32,17 +49,22 @@ def on_config(config: MkDocsConfig) -> None:
 def mathml(source: str, *arguments: Any, **options: Any) -> str:
     """Convert an equation in LaTeX to MathML; an exception for LaTeX that stays unconverted."""
     markup: str = convert(source, display="block")
-    if "\\" in markup or re.search("&(?!#)", markup):
+    if "\\" in markup or re.search("&(?!#)|mathvariant", markup):
         raise SuperFencesException(
             f"expected LaTeX that MathML can show, got an equation with other parts: {source}; "
             "try without environments such as \\begin{aligned}"
         )
+    # A norm has no mate to stretch with if it has an exponent.
+    markup = markup.replace("<mo>&#x02016;", '<mo stretchy="false">&#x02016;')
     # Browsers take the alignment of a column from its style only.
     return re.sub(r'columnalign="(\w+)"', r'style="text-align: \1"', markup)
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> None:
-    """Add a page for every file outside of docs/ that a page links to."""
+    """Add the pages that are made, and one for every file outside of docs/ that a page links to."""
+    texts = {page: _text_of(ROOT / path) for path, page in _PAGES.items()}
+    for page, text in {**pages(), **texts}.items():
+        files.append(File.generated(config, page, content=text))
     for page in list(files.documentation_pages()):
         for link in _OUTSIDE.findall(page.content_string):
             path = _linked(page.src_uri, link)
@@ -63,6 +85,50 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
     return _OUTSIDE.sub(led, markdown)
 
 
+def on_page_content(html: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Lower the subscripts."""
+    return with_subscripts(html)
+
+
+def with_subscripts(html: str) -> str:
+    """Lower the subscripts of letters in the running text: `J_c` becomes J with a lowered c."""
+    parts, verbatim = [], 0
+    for part in _TAG.split(html):
+        if tag := _VERBATIM.match(part):
+            verbatim += -1 if tag[1] else 1
+        is_text = not verbatim and not part.startswith("<")
+        parts.append(_SUBSCRIPT.sub(r"\1<sub>\2</sub>", part) if is_text else part)
+    return "".join(parts)
+
+
+def notebook_page(path: Path) -> str:
+    """Return the Markdown of a notebook with its outputs: text, and pictures within the page."""
+    lines = []
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        lines.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", []):
+            data = output.get("data", {})
+            if "image/png" in data:
+                picture = base64.b64encode(base64.b64decode(data["image/png"])).decode()
+                lines.append(f"![output of the cell](data:image/png;base64,{picture})")
+            elif text := "".join(output.get("text", data.get("text/plain", []))):
+                lines.append(f"```text\n{text.rstrip()}\n```")
+    return "\n\n".join(lines) + "\n"
+
+
+def _text_of(path: Path) -> str:
+    """Return the text of a page outside of docs/, with the links of a page in docs/."""
+    if path.suffix == ".ipynb":
+        return notebook_page(path)
+    text = path.read_text(encoding="utf-8")
+    return re.sub(r"\]\((?!\w+:|#)(?:docs/)?([^)]+)\)", _moved_link, text)
+
+
+def _moved_link(found: re.Match[str]) -> str:
+    return f"]({found[1]})" if found[0].startswith("](docs/") else f"](../{found[1]})"
+
+
 def _linked(page: str, link: str) -> str | None:
     """The path in the repository of a link on a page; None if it is missing or within docs/."""
     path = posixpath.normpath(posixpath.join("docs", posixpath.dirname(page), link))
@@ -71,7 +137,7 @@ def _linked(page: str, link: str) -> str | None:
 
 
 def _page_of(path: str) -> str:
-    return f"source/{path}.md"
+    return _PAGES.get(path, f"source/{path}.md")
 
 
 def _source_page(path: str) -> str:
