@@ -35,9 +35,13 @@ class Claim:
     holds: bool | None
     because: str = ""
 
+    @property
+    def verdict(self) -> str:
+        """The truth of the sentence in words."""
+        return {True: "holds", False: "does not hold", None: "not played"}[self.holds]
+
     def __str__(self) -> str:
-        words = {True: "holds", False: "does not hold", None: "not played"}[self.holds]
-        return f"**{words}** — {'; '.join(filter(None, (self.sentence, self.because)))}"
+        return f"{self.verdict}: {'; '.join(filter(None, (self.sentence, self.because)))}"
 
 
 def claims(results: Results) -> list[Claim]:

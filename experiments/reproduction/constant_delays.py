@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from experiments.reproduction.layout import (
@@ -191,14 +191,21 @@ def _full_qp(results: Results, table: DelayTable, found: dict[int, _ByName]) -> 
     return Outcome.of(results.rows(table.reference), task=table.task)
 
 
+def median_in_words(results: Results, table: DelayTable, name: str) -> str:
+    """The median of the longest delays that the seeds stand [ms]; – if not played."""
+    values = tolerances(results, table, name)
+    return _delay_in_words(results, table)(median_interval(values).median) if values else NONE
+
+
+def _delay_in_words(results: Results, table: DelayTable) -> Callable[[float], str]:
+    highest = {limit.standing for limit in results.limits(table.tolerance) if limit.falling is None}
+    return lambda value: f"{'≥ ' if value in highest else ''}{value:g}"
+
+
 def _tolerance_line(results: Results, table: DelayTable, name: str) -> list[str]:
     values = tolerances(results, table, name)
     found = median_interval(values)
-    highest = {limit.standing for limit in results.limits(table.tolerance) if limit.falling is None}
-
-    def text(value: float) -> str:
-        return f"{'≥ ' if value in highest else ''}{value:g}"
-
+    text = _delay_in_words(results, table)
     interval = f"{text(found.low)} … {text(found.high)} ({100 * found.coverage:.0f} %)"
     words = [table.title, name.upper(), str(len(values)), text(found.median), interval]
     if name == "lc":

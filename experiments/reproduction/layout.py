@@ -22,10 +22,11 @@ class Table:
     note: str = ""
 
 
-def in_markdown(table: Table) -> str:
-    """The table with its title in bold."""
+def in_markdown(table: Table, *, heading: bool = False) -> str:
+    """The table with its title, in bold or as a heading of the third level."""
     rows = [table.columns, ["---"] * len(table.columns), *table.lines]
-    text = [f"**{table.title}**", "", *(f"| {' | '.join(row)} |" for row in rows)]
+    title = f"### {table.title}" if heading else f"**{table.title}**"
+    text = [title, "", *(f"| {' | '.join(row)} |" for row in rows)]
     return "\n".join([*text, *(["", table.note] if table.note else [])])
 
 

@@ -13,8 +13,15 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from experiments.reproduction import five_g
 from experiments.reproduction.claims import Claim, claims
-from experiments.reproduction.layout import Table, in_markdown
+from experiments.reproduction.constant_delays import (
+    TABLE_II,
+    TABLE_III,
+    median_in_words,
+    paper_tolerance,
+)
+from experiments.reproduction.layout import NONE, Table, in_markdown
 from experiments.reproduction.provenance import how_it_was_made
 from experiments.reproduction.results import FIGURE_FOLDER, Results
 from experiments.reproduction.run import DEFAULT_OUT
@@ -73,7 +80,7 @@ def run_report(arguments: argparse.Namespace) -> int:
 
 
 def report_text(results: Results, found: Sequence[Claim]) -> str:
-    """The page in Markdown."""
+    """The page in Markdown: the outcomes at a glance, figures, conclusions, then every number."""
     parts = [
         "# The paper's tables and figures, made anew",
         "This page has Tables II–VI and Figures 4–6 of H. Zhu et al., *Enabling Remote Whole-Body "
@@ -84,22 +91,47 @@ def report_text(results: Results, found: Sequence[Claim]) -> str:
         "[reproduction.md](reproduction.md) explains why numbers differ, and lists the "
         "assumptions that the paper leaves open.",
         *_missing(results),
-        "## The paper's conclusions, checked",
-        "\n".join(f"* {claim}" for claim in found),
-        "## How numbers are judged",
-        RULE,
+        "## At a glance",
+        in_markdown(_at_a_glance(results)),
         in_markdown(_summary(results)),
+        "[How numbers are judged](#how-numbers-are-judged) has the rule of the verdicts.",
     ]
-    for section in sorted(SECTIONS.values(), key=lambda section: section.name):
-        tables = section.tables(results)
-        if tables:
-            parts += [f"## {section.title}", *map(in_markdown, tables)]
     for name, (title, caption) in _FIGURES.items():
         if (results.folder / FIGURE_FOLDER / f"{name}.png").is_file():
             picture = f"![{title}](figures/{name}.png)"
             parts += [f"## {title}", picture, f"{caption} ([SVG](figures/{name}.svg))"]
+    parts += ["## The paper's conclusions, checked", in_markdown(_conclusions(found))]
+    for section in sorted(SECTIONS.values(), key=lambda section: section.name):
+        if tables := section.tables(results):
+            parts += [f"## {section.title}", *(in_markdown(each, heading=True) for each in tables)]
+    parts += ["## How numbers are judged", RULE]
     parts += ["## How it was made", *how_it_was_made(results)]
     return "\n\n".join(parts) + "\n"
+
+
+def _at_a_glance(results: Results) -> Table:
+    """The longest delay, and the part of the 5G links, that each controller stands."""
+    lines = []
+    for table in (TABLE_II, TABLE_III):
+        median = {name: median_in_words(results, table, name) for name in ("pr", "la", "lc")}
+        pr, la = (str(paper_tolerance(table, name)) for name in ("pr", "la"))
+        what = f"{table.title}: longest round trip, median of the seeds [ms]"
+        lines.append([what, median["pr"], pr, median["la"], la, median["lc"]])
+    for scenario, task in five_g.CELLS:
+        rates = five_g.outcomes(results, scenario, task)
+        success = {
+            name: f"{100 * each.rate:.0f} %" if each.played else NONE
+            for name, each in rates.items()
+        }
+        pr, la = (f"{five_g.success_percent(scenario, task, name):.0f} %" for name in ("pr", "la"))
+        what = f"Table IV, {scenario}, {task}: trials that stood"
+        lines.append([what, success["pr"], pr, success["la"], la, success["lc"]])
+    return Table("Limits and success", ["", "PR", "paper", "LA", "paper", "LC"], lines)
+
+
+def _conclusions(found: Sequence[Claim]) -> Table:
+    lines = [[each.verdict, each.sentence, each.because or NONE] for each in found]
+    return Table("Conclusions", ["", "conclusion", "numbers"], lines)
 
 
 def _missing(results: Results) -> list[str]:

@@ -81,10 +81,12 @@ def test_what_is_run_becomes_a_page_with_its_trials_and_figures(shortened, tmp_p
     assert re.search(r"Missing: .*table2, .*tolerance-walk, table5, fig4, fig5\.", page)
     assert "## Table VI" in page
     assert "## Table II:" not in page
-    assert "**not played** — Table II" in page
+    assert "| not played | Table II" in page
     links = re.findall(r"\]\(([^)]+)\)", page)
     assert "figures/fig6.svg" in links
-    assert [link for link in links if not (docs / link).is_file()] == ["reproduction.md"]
+    elsewhere = ["reproduction.md", "#how-numbers-are-judged"]
+    assert [link for link in links if not (docs / link).is_file()] == elsewhere
+    assert page.index("## Figure 6") < page.index("## Table VI") < page.index("### Table VI, walk")
     kept = docs / "results" / "trials" / "table6"
     assert read_trials(kept) == read_trials(out / "table6")
     assert len(read_study(kept).trials) == 4
@@ -111,9 +113,15 @@ def test_the_whole_report_has_every_table_and_misses_nothing_but_figures(tmp_pat
     assert report("--out", tmp_path / "out", "--docs", tmp_path / "docs") == 0
     page = (tmp_path / "docs" / "results.md").read_text()
     assert "Missing: table5, fig4, fig5, fig6." in page
+    # The made-up PR falls beyond 40 ms and in every walk beyond 3 ms, LA beyond 100 ms.
+    glance = page[page.index("## At a glance") : page.index("## The paper's conclusions")]
+    assert re.search(r"Table II, balance: [^|]*\| 40 \| 40 \| 100 \| 90 \| ≥ 400 \|", glance)
+    assert re.search(
+        r"Table IV, factory, walk: [^|]*\|[^|]*\| 0 % \|[^|]*\| 85 % \| 100 % \|", glance
+    )
     for name in STUDIES:
         assert f"[{name}](results/trials/{name}/study.toml)" in page
-    assert "**holds** — Table IV, factory, walk: LA's success" in capsys.readouterr().out
+    assert "holds: Table IV, factory, walk: LA's success" in capsys.readouterr().out
 
 
 def test_computation_times_are_kept_for_the_code_that_took_them(monkeypatch, tmp_path, capsys):
@@ -133,7 +141,7 @@ def test_computation_times_are_kept_for_the_code_that_took_them(monkeypatch, tmp
     judged = "0.36 | 0.36 | same or better | 0.60 | 0.70 | same or better"
     assert f"| 3.7 GHz | full QP | {judged} | 0.80 |" in page
     assert "Played with `--quick`, on few seeds: table5." in page
-    assert "**holds** — Table V: the local controller takes less time than the QP" in page
+    assert "| holds | Table V: the local controller takes less time than the QP |" in page
 
 
 def test_all_is_every_table_and_figure_and_the_order_is_ours():
