@@ -189,7 +189,7 @@ def _command(*words: str) -> None:
     try:
         done = subprocess.run(words, check=False, capture_output=True, text=True)
     except FileNotFoundError:
-        raise LinkError(f"no `{words[0]}` command: install iproute2") from None
+        raise LinkError(f"expected the command {words[0]}, got none; install iproute2") from None
     if done.returncode != 0:
         reason = (done.stderr.strip() or "no reason given").splitlines()[-1]
         raise LinkError(f"{' '.join(words)}: {reason}")

@@ -150,7 +150,7 @@ def read_ticks(file: Path) -> Ticks:
     first = rows[schema.column(rows, "time_ns") < _WARM_UP_NS]
     rows = rows[len(first) :]
     if not len(first) or not len(rows):
-        raise ConfigError(f"{file}: expected a run of more than a second")
+        raise ConfigError(f"{file}: expected a run of more than a second, got a shorter one")
     tick_ms = schema.column(rows, "tick_ns") * 1e-6
     p50, p99, maximum = np.percentile(tick_ms, [50, 99, 100])
     overruns = schema.column(rows, "overruns")[-1] - schema.column(first, "overruns")[-1]

@@ -88,9 +88,15 @@ def services_of(
         if name not in declared:
             raise ConfigError(f"only: {one_of(declared, name, expected='some, with commas, of')}")
     if VIEWER in names and ROBOT not in names:
-        raise ConfigError("only: the viewer shows the robot of this machine; name both or neither")
+        raise ConfigError(
+            "only: expected robot beside viewer, which shows the robot of this machine, got "
+            f"{only}; name both or neither"
+        )
     if NETEM in names and direct:
-        raise ConfigError("network: direct means no shim; leave netem out of --only")
+        raise ConfigError(
+            "network: expected a profile for netem, got direct, which has no shim; leave netem out "
+            "of --only"
+        )
     if not any(name in names for name in _CHAIN):
         raise ConfigError(f"only: expected at least one of {', '.join(_CHAIN)}, got {only}")
     return tuple(declared[name] for name in names)

@@ -107,7 +107,10 @@ def starting_order(services: dict[str, Service]) -> tuple[str, ...]:
         ]
         if not free:
             left = ", ".join(name for name in services if name not in order)
-            raise ConfigError(f"services: {left} wait for one another; look at their `after`")
+            raise ConfigError(
+                f"services: expected an order, got {left}, which wait for one another; "
+                "change their `after`"
+            )
         order.append(free[0])
     return tuple(order)
 

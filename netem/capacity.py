@@ -129,7 +129,10 @@ def capacity_of(profile: DelayProfile) -> CapacityProfile:
     capacity = np.stack([_of_way(profile, way) for way in range(len(DIRECTIONS))])
     for name, carried in zip(DIRECTIONS, capacity.sum(axis=1), strict=True):
         if carried <= 0.0:
-            raise ProfileError(f"profile {profile.name}: its {name} carries nothing at all")
+            raise ProfileError(
+                f"profile {profile.name}: expected bytes that the {name} carries, got none; replay "
+                "its delays, without capacity:"
+            )
     return CapacityProfile(
         f"capacity:{profile.name}", capacity, base_ns, profile.period_ns, profile.metadata
     )

@@ -36,32 +36,37 @@ from shared.process.cli import EXIT_STANDING
 
 # Each flag: its name, the field of `Options` that it sets, its parser, an example and its help.
 _FLAGS: tuple[tuple[str, str, Callable[[str], Any], str, str], ...] = (
-    ("period", "period_ns", parse_period_ns, "1ms", "of the profile"),
-    ("pause", "pause", str, "cut", "1 s or longer without packets: refuse (default), cut, "
-     "or lost"),
-    ("lone-loss", "lone_loss", str, "period", "how long a packet lost between two that arrived is "
-     "lost: interval (until the next packet, default) or period"),
-    ("interval", "interval_ns", parse_duration_ns, "10ms", "between pings or bare delays"),
-    ("columns", "columns", parse_columns, "sent=t(s),delay=d(ms)", "of a table"),
-    ("unit", "unit", str, "ms", "of a table's columns that do not name theirs: s, ms, us, ns"),
-    ("lost", "lost", str, "-1", "what stands for a lost packet in a table, beside nan, empty, …"),
+    ("period", "period_ns", parse_period_ns, "1ms", "length of a period of the profile (1ms)"),
+    ("pause", "pause", str, "cut", "a time of 1 s or longer without packets: refuse "
+     "(default), cut, or lost"),
+    ("lone-loss", "lone_loss", str, "period", "duration of a loss between two packets that "
+     "arrived: interval (until the next packet, default) or period"),
+    ("interval", "interval_ns", parse_duration_ns, "10ms", "time between pings, or between rows "
+     "without times"),
+    ("columns", "columns", parse_columns, "sent=t(s),delay=d(ms)", "columns of a table by their "
+     "meaning"),
+    ("unit", "unit", str, "ms", "unit of the columns that do not name one: s, ms, us, ns"),
+    ("lost", "lost", str, "-1", "value of a lost packet in a table, beside nan, empty, …"),
     ("clock", "clock", str, "offset", "two clocks: offset (shortest delays equal) or half (of the "
      "round trip each way)"),
-    ("imsi", "imsi", int, "N", "the terminal, in ns-3's files of several"),
-    ("cell", "cell", int, "N", "the cell, in ns-3's files of several"),
-    ("rnti", "rnti", int, "N", "the terminal's number in its cell"),
-    ("phy", "phy", Path, "FILE", "RxPacketTrace.txt of the same run: capacity"),
+    ("imsi", "imsi", int, "N", "IMSI of the terminal, if ns-3's files have several"),
+    ("cell", "cell", int, "N", "cell of the terminal, if ns-3's files have several"),
+    ("rnti", "rnti", int, "N", "RNTI of the terminal, its number in the cell"),
+    ("phy", "phy", Path, "FILE", "RxPacketTrace.txt of the same run, for the capacity"),
     ("robot", "robot", str, "ADDRESS", "the robot's IP address in captures"),
     ("load", "load", lambda t: per_way(t, parse_load), "1000B@500Hz/1000B@1kHz",
-     "uplink/downlink traffic to put through a trace of capacity"),
+     "traffic through a trace of capacity, uplink/downlink"),
     ("base-delay", "base_delay_ns", lambda t: per_way(t, parse_duration_ns), "2ms",
-     "beside the queue, of a trace of capacity (default none)"),
-    ("queue", "queue_bytes", parse_size, "20MiB", "its length (default 20MiB)"),
+     "delay of a trace of capacity without its queue (0)"),
+    ("queue", "queue_bytes", parse_size, "20MiB", "length of the queue (20MiB)"),
     ("delay", "delay_ns", lambda t: per_way(t, parse_duration_ns), "10ms", "mean of a netem table"),
-    ("jitter", "jitter_ns", lambda t: per_way(t, parse_duration_ns), "2ms", "its deviation"),
-    ("correlation", "correlation", parse_fraction, "25%", "of one delay with the next"),
-    ("duration", "duration_ns", parse_duration_ns, "60s", "how much to draw or to compute"),
-    ("seed", "seed", int, "0", "of what is drawn"),
+    ("jitter", "jitter_ns", lambda t: per_way(t, parse_duration_ns), "2ms", "standard "
+     "deviation of a netem table"),
+    ("correlation", "correlation", parse_fraction, "25%", "correlation of one delay with the "
+     "next"),
+    ("duration", "duration_ns", parse_duration_ns, "60s", "duration of a drawn or computed "
+     "profile"),
+    ("seed", "seed", int, "0", "seed of a drawn profile"),
 )  # fmt: skip
 
 
@@ -84,7 +89,7 @@ def add_convert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--other-way",
         metavar="same|constant:5ms",
-        help="the way that the file says nothing of",
+        help="the other way of a file with one way",
     )
     for flag, field, _, example, words in _FLAGS:
         parser.add_argument(f"--{flag}", dest=field, metavar=example, help=words)
@@ -110,7 +115,10 @@ def run_convert(arguments: argparse.Namespace) -> int:
     _refuse_flags(arguments, formats, name)
     if PROFILE in formats:
         if len(formats) > 1 or arguments.other_way:
-            raise ProfileError(f"{name}: expected a profile alone: it holds both ways")
+            raise ProfileError(
+                f"{name}: expected a profile alone, because it has both ways, got it with another "
+                "file or --other-way; give the profile alone"
+            )
         profile = read_profile(next(iter(files.values())))
     else:
         measured, constant_ns = read_both_ways(files, formats, arguments.other_way, options)
@@ -141,11 +149,13 @@ def _options(arguments: argparse.Namespace) -> Options:
     if options.clock not in (None, "offset", "half"):
         raise ConfigError(f"--clock: expected offset or half, got {options.clock!r}")
     if options.pause not in TREATMENTS:
-        raise ConfigError(f"--pause: expected {', '.join(TREATMENTS)}, got {options.pause!r}")
+        raise ConfigError(
+            f"--pause: expected one of {', '.join(TREATMENTS)}, got {options.pause!r}"
+        )
     if options.lone_loss not in ("interval", "period"):
         raise ConfigError(f"--lone-loss: expected interval or period, got {options.lone_loss!r}")
     if options.seed < 0:
-        raise ConfigError(f"--seed: expected none below 0, got {options.seed}")
+        raise ConfigError(f"--seed: expected 0 or more, got {options.seed}")
     return options
 
 
@@ -155,7 +165,7 @@ def _with_receivers(options: Options, inputs: list[Path]) -> tuple[Options, list
         return options, inputs
     if len(inputs) not in (2, 4):
         raise ProfileError(
-            "convert: to join by id expected the sender's table and the receiver's, of one way or "
+            "convert: expected the sender's and the receiver's table to join by id, of one way or "
             f"of the uplink and then of the downlink, got {len(inputs)} files"
         )
     senders, receivers = inputs[::2], inputs[1::2]
@@ -180,7 +190,10 @@ def _with_sendings(
         way = way_in_name(file)
         of = [each for each, other in ways.items() if len(ways) == 1 or other == way]
         if len(of) != 1 or of[0] in beside:
-            raise ProfileError(f"{file}: expected the receptions of the same sendings beside it")
+            raise ProfileError(
+                f"{file}: expected one file of receptions of the same sendings, got {len(of)}; "
+                "give the file of the receptions beside it"
+            )
         beside[of[0]] = file
     return replace(options, beside=beside), rest
 
@@ -191,7 +204,10 @@ def _refuse_flags(arguments: argparse.Namespace, formats: list[Format], name: st
         key = flag.replace("-", "_")
         if getattr(arguments, field) is not None and not any(key in f.options for f in formats):
             takers = ", ".join(each.name for each in FORMATS if key in each.options)
-            raise ConfigError(f"--{flag}: only {takers} takes it, but {name} is {formats[0].name}")
+            raise ConfigError(
+                f"--{flag}: expected a file of {takers}, got {formats[0].name} in {name}; leave "
+                f"--{flag} out, or name the --format"
+            )
 
 
 def _with_capacity(measured: Measured, options: Options) -> Measured:

@@ -85,7 +85,9 @@ def run_stats(arguments: argparse.Namespace) -> int:
     """Print quantiles, outages and memory of one or several profiles together. Return 0."""
     profiles = [profile for name in arguments.networks for profile in _profiles(name)]
     if len({profile.period_ns for profile in profiles}) > 1:
-        raise ProfileError("stats: expected profiles of one period, got several")
+        raise ProfileError(
+            "stats: expected profiles of one period, got several; give the profiles one by one"
+        )
     table = {link: dataclasses.asdict(statistics(profiles, link)) for link in LINKS}
     if arguments.json:
         empty = {
@@ -117,8 +119,8 @@ _TOLD = {
     "outages_per_second": "outages per second",
     "peak_median": "  peak, median",
     "peak_q90": "  peak, 90 %",
-    "duration_median": "  lasting, median",
-    "duration_maximum": "  lasting, longest",
+    "duration_median": "  duration, median",
+    "duration_maximum": "  duration, longest",
     "lost_maximum": "longest run of losses",
     "memory": "memory (1/e)",
 }
@@ -127,9 +129,9 @@ _TOLD = {
 _EXPLAINED = f"""
 round trip: a message up, and its answer down from the moment that it arrives
 median … longest: of the messages that arrived; lost: the part of the time in which none did
-outage: messages in a row that were lost, or took over {OUTAGE_MS:g} ms and twice the median
-peak: the longest delay in an outage of a message that arrived; lasting: in ms, lost ones too
-memory: how far apart two delays are that hardly know of each other (correlation 1/e)"""
+outage: successive messages that were lost, or took over {OUTAGE_MS:g} ms and twice the median
+peak: the longest delay in an outage of a message that arrived; duration: lost messages count
+memory: the time between two delays whose correlation is 1/e"""
 
 
 def _profiles(name: str) -> list[DelayProfile]:

@@ -64,7 +64,9 @@ def constant_profile(network: str) -> DelayProfile:
     if len(parts) == 1:
         parts = [parts[0] // 2, parts[0] - parts[0] // 2]
     if len(parts) != 2:
-        raise ProfileError(f"network {network!r}: expected constant:30ms or constant:10ms/20ms")
+        raise ProfileError(
+            f"network: expected constant:30ms or constant:10ms/20ms, got {network!r}"
+        )
     return DelayProfile(name=network, delays_ns=np.array(parts, dtype=np.int64).reshape(2, 1))
 
 
@@ -75,6 +77,8 @@ def generated_profile(network: str) -> DelayProfile:
     found = re.fullmatch(f"{GENERATED}({scenarios})/(0|[1-9][0-9]{{0,8}})", network)
     if found is None:
         examples = " or ".join(f"{GENERATED}{name}/7" for name in SCENARIOS)
-        raise ProfileError(f"network {network!r}: expected a scenario and a seed as in {examples}")
+        raise ProfileError(
+            f"network: expected a scenario and a seed as in {examples}, got {network!r}"
+        )
     profile = generate_profile(SCENARIOS[found[1]], int(found[2]))
     return dataclasses.replace(profile, name=network)

@@ -49,8 +49,8 @@ def read_profile(path: Path, *, name: str | None = None) -> DelayProfile:
     read = {".npz": _read_npz, ".csv": _read_csv}.get(path.suffix)
     if read is None:
         raise ProfileError(
-            f"profile: expected a .npz or .csv file, got {path}; other formats: "
-            f"{wbc('netem convert')}"
+            f"profile: expected a .npz or .csv file, got {path}; try "
+            f"{wbc('netem convert')} for other formats"
         )
     try:
         return read(path, name or path.stem)
@@ -87,7 +87,7 @@ def _read_npz(path: Path, name: str) -> DelayProfile:
         *(RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
     ) as error:
         raise ProfileError(
-            f"profile {path}: expected arrays uplink_us and downlink_us: {error}"
+            f"profile {path}: expected arrays uplink_us and downlink_us, got: {error}"
         ) from None
     for direction, way in zip(DIRECTIONS, ways, strict=True):
         if way.dtype.kind not in "iuf" or not np.isfinite(way).all():
@@ -105,8 +105,8 @@ def _read_npz(path: Path, name: str) -> DelayProfile:
     if np.any(wrong):
         way, index = np.argwhere(wrong)[0]
         raise ProfileError(
-            f"profile {path}: {DIRECTIONS[way]}_us[{index}] = {delays_us[way, index]}: expected a "
-            f"delay from 0 to {MAX_DELAY_MS * 1000:.0f} µs, or -1 for a lost message"
+            f"profile {path}: {DIRECTIONS[way]}_us[{index}]: expected a delay from 0 to "
+            f"{MAX_DELAY_MS * 1000:.0f} µs, or -1 for a lost message, got {delays_us[way, index]}"
         )
     delays_us = delays_us.astype(np.int64)
     delays_ns = np.where(delays_us == LOST, LOST, delays_us * 1000)
@@ -175,11 +175,12 @@ def _read_csv(path: Path, name: str) -> DelayProfile:
                     further.append(_csv_numbers(path, reader.line_num, cells[2:]))
         except (UnicodeDecodeError, csv.Error) as error:
             raise ProfileError(
-                f"profile {path}, line {reader.line_num}: not a text file of values: {error}"
+                f"profile {path}, line {reader.line_num}: expected text, got: {error}"
             ) from None
     if not rows:
         raise ProfileError(
-            f"profile {path}: expected the header {','.join(CSV_HEADER)} and at least one row"
+            f"profile {path}: expected the header {','.join(CSV_HEADER)} and at least one row, got "
+            f"{'no row' if header else 'neither'}"
         )
     columns = dict(zip(header[2:], np.array(further).T, strict=True)) if header[2:] else {}
     metadata.setdefault("source", path.name)
@@ -254,7 +255,9 @@ def _checked(
 ) -> DelayProfile:
     for way, delays in zip(DIRECTIONS, delays_ns, strict=True):
         if np.all(delays == LOST):
-            raise ProfileError(f"profile {path}: every {way} message is lost")
+            raise ProfileError(
+                f"profile {path}: expected {way} messages that arrive, got only lost ones"
+            )
     if not isinstance(metadata, dict):
         raise ProfileError(f"profile {path}: expected meta to be a JSON object, got {metadata!r}")
     period_us = metadata.get("period_us", PERIOD_NS / 1000)
@@ -269,5 +272,7 @@ def _checked(
                 f"got {values.dtype} of shape {values.shape}"
             )
         if key.endswith("_capacity_bytes") and not (np.nan_to_num(values, nan=-1.0) >= 0).all():
-            raise ProfileError(f"profile {path}: {key}: expected no negative numbers of bytes")
+            raise ProfileError(
+                f"profile {path}: {key}: expected numbers of bytes of 0 or more, got others"
+            )
     return DelayProfile(name, delays_ns, round(period_us * 1000), metadata, columns)

@@ -135,7 +135,7 @@ run_compare = run_open
 @_leaving_at_once
 def run_snapshot(arguments: argparse.Namespace) -> int:
     if arguments.out is None and arguments.animation is None:
-        raise UserError("snapshot: expected --out FILE.png, --animation FILE.gif, or both")
+        raise UserError("snapshot: expected --out FILE.png or --animation FILE.gif, got neither")
     if arguments.out is not None:
         picture(arguments.runs, arguments.out, at=arguments.at)
         _say(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB")

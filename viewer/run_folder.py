@@ -71,8 +71,8 @@ def read_run(path: Path) -> RunFolder:
     missing = [name for name in _FILES if not (path / name).is_file()]
     if missing:
         raise UserError(
-            f"{path}: expected the folder of a run, with {' and '.join(_FILES)}; found no "
-            f"{' and no '.join(missing)}"
+            f"{path}: expected the folder of a run, with {' and '.join(_FILES)}, got one "
+            f"without {' and '.join(missing)}"
         )
     config = load_config(path / "config.toml")
     ticks = path / "telemetry.parquet"

@@ -94,7 +94,9 @@ def _duration(runs: Sequence[RunFolder]) -> float:
     """Return the duration of the longest run [s]; raise `UserError` if no task began."""
     duration = max(run.duration for run in runs)
     if duration <= 0.0:
-        raise UserError(f"snapshot: the task of {title(runs)} never began; nothing to draw")
+        raise UserError(
+            f"snapshot: expected a run whose task began, got {title(runs)}; play it again"
+        )
     return duration
 
 
@@ -177,7 +179,9 @@ def _shot(client: ViewerClient, at: float, shot: Path) -> bytes:
         except (ConnectionError, RuntimeError) as error:
             reason = str(error).splitlines()[0]
             raise UserError(f"snapshot: rerun ended or refuses to draw ({reason})") from None
-    raise UserError(f"snapshot: no picture in {_ATTEMPTS} attempts; is the machine busy?")
+    raise UserError(
+        f"snapshot: expected a picture, got none in {_ATTEMPTS} attempts; try an idle machine"
+    )
 
 
 def _write(image: Image.Image, out: Path, **options: Any) -> None:

@@ -60,7 +60,7 @@ from experiments.studies.study_tables import (
     variants_of,
 )
 from shared.config.toml_file import read_toml
-from shared.errors import ConfigError
+from shared.errors import ConfigError, one_of
 from shared.telemetry.schema import Source
 
 SHIPPED = Path(__file__).parents[1] / "configs"
@@ -118,7 +118,7 @@ def make_study(table: dict[str, Any], *, seeds: int | None = None, quick: bool =
 def _study(table: dict[str, Any]) -> Study:
     for key in table:
         if key not in _KEYS:
-            raise ConfigError(f"{key}: unknown; valid here: {', '.join(_KEYS)}")
+            raise ConfigError(f"study: {one_of(_KEYS, key)}")
     seeds = table.get("seeds", DEFAULT_SEEDS)
     if not is_integer(seeds) or seeds < 1:
         raise ConfigError(f"seeds: expected a number of at least 1, got {seeds!r}")
@@ -143,10 +143,14 @@ def _study(table: dict[str, Any]) -> Study:
     in_cells = {key for settings in variants.values() for key in settings}
     for key in [*base, *grid, *in_cells, *random, *bisected]:
         if key == "seed":
-            raise ConfigError("seed: not a setting of a study; give the number of seeds with seeds")
+            raise ConfigError(
+                "seed: expected seeds, the number of seeds of a study, got the setting seed; try "
+                f"seeds = {DEFAULT_SEEDS}"
+            )
         if sum(key in settings for settings in (grid, in_cells, random, bisected)) > 1:
             raise ConfigError(
-                f"{key}: expected in one of grid, cells, random and bisect, got it in two or more"
+                f"{key}: expected in one of grid, cells, random and bisect, got it in two or more; "
+                "keep one"
             )
     for key, spec in random.items():
         check_random(key, spec)

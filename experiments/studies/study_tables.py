@@ -62,13 +62,16 @@ def bisection_of(table: Any) -> Bisection:
     keys = ("setting", "value", *_BOUNDS, "also")
     for key in table:
         if key not in keys:
-            raise ConfigError(f"bisect.{key}: unknown; valid here: {', '.join(keys)}")
+            raise ConfigError(f"bisect: {one_of(keys, key)}")
     setting = table.get("setting")
     if not isinstance(setting, str):
         raise ConfigError(f"bisect.setting: expected the name of a setting, got {setting!r}")
     also = flattened(table.get("also", {}), "bisect.also")
     if setting in also:
-        raise ConfigError(f"bisect.also.{setting}: expected settings other than the bisected one")
+        raise ConfigError(
+            f"bisect.also: expected settings other than the bisected one, got {setting}; leave it "
+            "out"
+        )
     values = {setting: table.get("value"), **also}
     for key, value in values.items():
         number = isinstance(value, int | float) and not isinstance(value, bool) and value != 0

@@ -57,9 +57,9 @@ class Measured:
             "99.9 %": of.q999,
             "longest": of.maximum,
             "outages per second": of.outages_per_second,
-            "lasting, 10 %": _quantile(self.samples["durations"], 0.1),
-            "lasting, median": of.duration_median,
-            "lasting, 90 %": _quantile(self.samples["durations"], 0.9),
+            "duration, 10 %": _quantile(self.samples["durations"], 0.1),
+            "duration, median": of.duration_median,
+            "duration, 90 %": _quantile(self.samples["durations"], 0.9),
             "peak, 10 %": _quantile(self.samples["peaks"], 0.1),
             "peak, median": of.peak_median,
             "peak, 90 %": of.peak_q90,
@@ -258,8 +258,8 @@ def _header(command: str, *, seed: int, count: int, sets: int) -> str:
             f"{cpu_name()}; python {found['python']}, numpy {found['numpy']}; "
             f"seeds {seed} to {seed + count - 1}{further}",
             f"uplink {UPLINK_BYTES} B, downlink {DOWNLINK_BYTES} B at 1 kHz",
-            f"an outage: messages delayed by more than {OUTAGE_MS:g} ms; one per ms, so lasting "
-            "[ms] is also how many it caught",
+            f"an outage: messages delayed by more than {OUTAGE_MS:g} ms; one per ms, so the "
+            "duration [ms] is also the number of messages",
             "gains fitted to the odd ns-3 runs alone; ratio: generated / ns-3 all",
         ]
     )

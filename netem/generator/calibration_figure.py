@@ -38,21 +38,21 @@ def draw(
 def _draw_scenario(
     axes: np.ndarray, scenario: str, sets: Mapping[str, Sequence[DelayProfile]]
 ) -> None:
-    delays, lasting, peaks, memory, *examples = axes.ravel()
+    delays, durations, peaks, memory, *examples = axes.ravel()
     for name, profiles in sets.items():
         for way, style in _STYLES.items():
             runs = [delays_ms(profile, way) for profile in profiles]
             found = [outage for run in runs for outage in outages(run)]
             line = {"color": _COLOURS[name], "linestyle": style, "label": f"{name}, {way}"}
             _exceeded(delays, np.concatenate(runs), **line)
-            _exceeded(lasting, [outage.messages for outage in found], **line)
+            _exceeded(durations, [outage.messages for outage in found], **line)
             _exceeded(peaks, [outage.peak_ms for outage in found], **line)
             memory.plot(autocorrelation(runs, _LAGS), **line)
     delays.set(title=f"{scenario}: delays", xlabel="one-way delay [ms]", yscale="log")
-    delays.set_ylabel("part that exceeds it")
+    delays.set_ylabel("part of the messages with a longer delay")
     delays.legend(fontsize=8, loc="upper right")
-    lasting.set(title=f"{scenario}: outages", xlabel="lasting [ms]")
-    peaks.set(title=f"{scenario}: outages", xlabel="longest delay in it [ms]")
+    durations.set(title=f"{scenario}: outages", xlabel="duration of an outage [ms]")
+    peaks.set(title=f"{scenario}: outages", xlabel="longest delay in an outage [ms]")
     memory.set(title=f"{scenario}: memory", xlabel="lag [ms]", ylabel="autocorrelation")
     memory.set_xlim(0, _LAGS if scenario == "factory" else _LAGS / 4)
     top = 1.05 * max(_example(profiles).max() for profiles in sets.values())

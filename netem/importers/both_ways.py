@@ -29,17 +29,23 @@ def files_by_way(
         if path is not None:
             named[direction] = path
     if named and inputs:
-        raise ProfileError("convert: expected files either in order or by --uplink and --downlink")
+        raise ProfileError(
+            "convert: expected files in order, or by --uplink and --downlink, got both; use one "
+            "form"
+        )
     if named:
         return named
     if len(inputs) not in (1, 2):
-        raise ProfileError(f"convert: expected IN [IN2] OUT, got {len(inputs)} files to read")
+        raise ProfileError(
+            f"convert: expected IN [IN2] OUT, got {len(inputs)} files to read; give one file of "
+            "both ways, or uplink and downlink"
+        )
     ways = [way_in_name(path) for path in inputs]
     if len(inputs) == 2:
         if ways[0] == DOWNLINK or ways[1] == UPLINK:
             raise ProfileError(
-                f"convert: expected the uplink first, got {inputs[0]} and {inputs[1]}; or say "
-                "--uplink and --downlink"
+                f"convert: expected the uplink first, got {inputs[0]} and {inputs[1]}; change the "
+                "order, or name them by --uplink and --downlink"
             )
         return {UPLINK: inputs[0], DOWNLINK: inputs[1]}
     return {ways[0]: inputs[0]}
@@ -61,7 +67,8 @@ def read_both_ways(
     if PCAP in formats:
         if len(paths) != 2 or formats[0] != formats[1]:
             raise ProfileError(
-                f"{paths[0]}: a capture: expected two, on the robot's side and on the edge's"
+                f"{paths[0]}: expected two captures, on the robot's side and on the edge's, got "
+                f"{' and '.join(each.name for each in formats)}; give both captures"
             )
         measured = read_captures(paths[0], paths[1], options)
     else:
@@ -72,7 +79,9 @@ def read_both_ways(
         if len(parts) == 2:
             for path, part in zip(paths, parts, strict=True):
                 if None not in part.ways:
-                    raise ProfileError(f"{path}: expected it alone: it holds both ways")
+                    raise ProfileError(
+                        f"{path}: expected a file of one way, got one of both; give it alone"
+                    )
             _expect_none(other_way)
             return _together(parts[0], parts[1]), None
         measured = parts[0]
@@ -94,8 +103,8 @@ def _completed(
     known = UPLINK if measured.ways[DOWNLINK] is None else DOWNLINK
     if other_way is None and not each.either_way:
         raise ProfileError(
-            f"{path}: one way only; give the other one's file too (--uplink FILE --downlink FILE), "
-            "or --other-way same or --other-way constant:5ms"
+            f"{path}: expected both ways, got one; give the other way's file too (--uplink FILE "
+            "--downlink FILE), or --other-way same or --other-way constant:5ms"
         )
     if other_way in (None, "same"):
         note = f"{DIRECTIONS[1 - known]}: from the same file as the {DIRECTIONS[known]}"
@@ -109,8 +118,8 @@ def _completed(
         raise ConfigError(f"--other-way: expected same or constant:5ms, got {other_way!r}")
     if None in files:
         raise ProfileError(
-            f"{path}: expected to be told which way it is: --uplink {path.name} or "
-            f"--downlink {path.name}"
+            f"{path}: expected a file of a known way, got a name that does not tell it; try "
+            f"--uplink {path.name} or --downlink {path.name}"
         )
     try:
         constant_ns = parse_duration_ns(text)
@@ -122,7 +131,9 @@ def _completed(
 
 def _expect_none(other_way: str | None) -> None:
     if other_way is not None:
-        raise ConfigError("--other-way: expected only where one way is missing; both are there")
+        raise ConfigError(
+            "--other-way: expected a measurement of one way, got both ways; leave --other-way out"
+        )
 
 
 def _together(first: Measured, second: Measured) -> Measured:

@@ -68,7 +68,10 @@ def frames(path: Path) -> Iterator[Frame]:
             raise wrong(path, "byte 0", "the header of a pcap file", magic)
         for count, frame in enumerate(read):
             if count >= MAX_RECORDS:
-                raise ProfileError(f"{path}: expected at most {MAX_RECORDS} packets")
+                raise ProfileError(
+                    f"{path}: expected at most {MAX_RECORDS} packets, got more; cut it, as by "
+                    "editcap -i 60"
+                )
             yield frame
 
 

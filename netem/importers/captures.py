@@ -64,8 +64,8 @@ def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measur
     if not shifts:
         raise ProfileError(
             f"{robot_side}, {edge_side}: expected the same packets in both, at most 30 s apart, "
-            f"found none in {len(near)} and {len(far)}, {_in_bytes(compared)} compared; are their "
-            "addresses translated in between?"
+            f"got none in {len(near)} and {len(far)}, {_in_bytes(compared)} compared; capture "
+            "where no address is translated in between"
         )
     directions = _directions(shifts, options.robot, f"{robot_side}, {edge_side}")
     ways: list[Way | None] = [None, None]
@@ -95,10 +95,11 @@ def _read(path: Path, compared: int) -> list[Packet]:
         read.append(packet)
         if len(read) > _MAX_PACKETS:
             raise ProfileError(
-                f"{path}: expected at most {_MAX_PACKETS} IP packets; editcap -i 60 cuts it up"
+                f"{path}: expected at most {_MAX_PACKETS} IP packets, got more; cut it, as by "
+                "editcap -i 60"
             )
     if not read:
-        raise ProfileError(f"{path}: expected IP packets, found none")
+        raise ProfileError(f"{path}: expected IP packets, got none; capture the link's interface")
     return read
 
 
@@ -117,10 +118,10 @@ def _matched(
         if alike and there and here and len(here) != len(there):
             flow = " > ".join(str(ipaddress.ip_address(end)) for end in near[here[0]].flow)
             raise ProfileError(
-                f"{files}: {len(here)} packets {flow} in the one and {len(there)} in the other are "
-                f"alike in all that both hold ({_in_bytes(compared)}), so that the missing ones "
-                "cannot be told; capture whole packets (-s 0) on one interface each, or leave out "
-                "that flow"
+                f"{files}: expected packets that differ, or as many in both, got {len(here)} and "
+                f"{len(there)} packets {flow} that are alike in all that both hold "
+                f"({_in_bytes(compared)}); capture whole packets (-s 0) on one interface each, or "
+                "leave out that flow"
             )
         pairs = zip(here, there, strict=False) if alike else _in_turn(near, here, far, there)
         for mine, other in pairs:
@@ -162,7 +163,10 @@ def _directions(shifts: dict[_Flow, list[int]], robot: str | None, files: str) -
             raise ConfigError(f"robot: expected its IP address, got {robot!r}") from None
         flows = {flow: flow[0] == address for flow in shifts if address in flow}
         if not flows:
-            raise ProfileError(f"{files}: expected packets of {robot} in both, found none")
+            raise ProfileError(
+                f"{files}: expected packets of {robot} in both, got none; give --robot the robot's "
+                "address in the captures"
+            )
         return {flow: UPLINK if up else DOWNLINK for flow, up in flows.items()}
     directions = {
         flow: UPLINK if np.median(shift) >= 0 else DOWNLINK for flow, shift in shifts.items()
@@ -170,8 +174,9 @@ def _directions(shifts: dict[_Flow, list[int]], robot: str | None, files: str) -
     for (source, destination), way in directions.items():
         if directions.get((destination, source)) == way and source != destination:
             raise ProfileError(
-                f"{files}: packets and their answers both seem to go {DIRECTIONS[way]}: the clocks "
-                "of the two ends differ; give --robot ADDRESS and --clock offset"
+                f"{files}: expected answers to go the other way, got packets and answers that go "
+                f"{DIRECTIONS[way]}, because the clocks of the two ends differ; try --robot "
+                "ADDRESS and --clock offset"
             )
     return directions
 

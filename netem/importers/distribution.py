@@ -37,8 +37,8 @@ def read_netem_table(path: Path, options: Options, direction: int) -> Measured:
     """Delays drawn from a table. `ProfileError` names the line that is wrong."""
     if options.delay_ns is None or options.jitter_ns is None:
         raise ProfileError(
-            f"{path}: a table of tc-netem: expected its mean and its standard deviation, as in "
-            "--delay 10ms --jitter 2ms"
+            f"{path}: expected --delay and --jitter, the mean and the standard deviation of a "
+            "table of tc-netem, got less; try --delay 10ms --jitter 2ms"
         )
     table = []
     for line, text in content_lines(path):
@@ -96,7 +96,7 @@ def read_histogram(path: Path, options: Options, direction: int) -> Measured:
             if (len(lows) > 1 and lows[-1] <= lows[-2]) or lows[-1] < 0:
                 raise wrong(path, where, "bins in order of their low, none below 0", text.strip())
     if len(lows) < 2 or not sum(counts):
-        raise ProfileError(f"{path}: expected a histogram of at least two bins, found none")
+        raise ProfileError(f"{path}: expected a histogram of at least two bins, got none")
     rng = np.random.default_rng([options.seed, direction])
     n = _count(path, options)
     edges = np.append(lows, 2 * lows[-1] - lows[-2])

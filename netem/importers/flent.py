@@ -37,12 +37,15 @@ def read_flent(path: Path, options: Options, direction: int) -> Measured:
         else {}
     )
     if not series:
-        raise ProfileError(f"{path}: expected raw values of pings with numbers, found none")
+        raise ProfileError(
+            f"{path}: expected raw values of pings with numbers, got none; try a test of Flent "
+            "that pings, as flent rrul"
+        )
     chosen = options.columns.get("rtt", next(iter(series)) if len(series) == 1 else "")
     if chosen not in series:
         raise ProfileError(
-            f"{path}: expected one series, as in --columns 'rtt={next(iter(series))}'; there are "
-            f"{', '.join(series)}"
+            f"{path}: expected one series of pings, got {', '.join(series)}; choose one, as in "
+            f"--columns 'rtt={next(iter(series))}'"
         )
     log = PingLog(notes=[f"series {chosen}"])
     for k, each in enumerate(series[chosen]):

@@ -21,7 +21,7 @@ from shared.errors import ProfileError
 
 _MAX_NS = 2**61
 _LOST = ("false", "true", "true_up", "true_down")
-HALF_NOTE = "round trips: half of each taken for either way"
+HALF_NOTE = "round trips: each way has half of each"
 
 
 def is_irtt(start: str) -> bool:
@@ -36,7 +36,7 @@ def read_irtt(path: Path, options: Options, direction: int) -> Measured:
     document = json_document(path, "irtt")
     trips = document.get("round_trips") if isinstance(document, dict) else None
     if not isinstance(trips, list) or not trips:
-        raise ProfileError(f"{path}: expected irtt's JSON with a list of round_trips, found none")
+        raise ProfileError(f"{path}: expected irtt's JSON with a list of round_trips, got none")
     parameters = _at(document, "config", "params")
     interval, length = (_at(parameters, key) for key in ("interval", "length"))
     traffic: dict[str, Any] = {
@@ -142,7 +142,8 @@ def _sending_times(path: Path, rows: list[dict[str, Any]], interval: Any) -> np.
     numbers = [row["seqno"] for row in rows]
     if not _is_time(interval) or not all(isinstance(n, int) and 0 <= n < 2**32 for n in numbers):
         raise ProfileError(
-            f"{path}: expected the client's times of sending, or sequence numbers and an interval"
+            f"{path}: expected the client's times of sending, or sequence numbers and an interval, "
+            "got neither; write the file by irtt client -o FILE.json"
         )
     return np.array([n * min(interval, _MAX_NS >> 32) for n in numbers], dtype=np.int64)
 

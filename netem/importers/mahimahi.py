@@ -37,9 +37,9 @@ def read_mahimahi(path: Path, options: Options, direction: int) -> Measured:
     """The delays that a load would meet. `ProfileError` names the line that is wrong."""
     if options.load is None:
         raise ProfileError(
-            f"{path}: opportunities to carry 1500 bytes, without delays: expected the load whose "
-            "delays to compute, as in --load 1000B@500Hz/1000B@1kHz (uplink/downlink); or, if it "
-            "is a list of delays, --columns 'rtt=1(ms)' --interval 10ms"
+            f"{path}: expected a --load for a trace of capacity (opportunities to send 1500 B), "
+            "got none; try --load 1000B@500Hz/1000B@1kHz (uplink/downlink), or for a list of "
+            "delays --columns 'rtt=1(ms)' --interval 10ms"
         )
     load, times = options.load[direction], _opportunities(path, options)
     cycle = int(times[-1])
@@ -95,13 +95,15 @@ def read_cellreplay(path: Path, options: Options, direction: int) -> Measured:
         times.append(time * _MS)
         delays.append(base * _MS + round(arrival * _MS))
     if not times:
-        raise ProfileError(f"{path}: expected lines of time_ms base_delay_ms and arrivals")
+        raise ProfileError(
+            f"{path}: expected lines of time_ms base_delay_ms and arrivals, got none"
+        )
     notes = [
         f"{DIRECTIONS[direction]}: delay of the packet number {packets} of a train "
         f"(--load says of what size; {_TRAIN_PACKET_BYTES} bytes a packet)"
     ]
     if longer:
-        notes.append(f"{longer} trains are shorter than that and are drawn out at their pace")
+        notes.append(f"{longer} trains are shorter and continue at their pace")
     way = ordered(times, delays, message_bytes=load.size if load else None)
     return one_way(direction, way, *notes)
 
@@ -124,7 +126,9 @@ def _opportunities(path: Path, options: Options) -> np.ndarray:
         times.append(time)
         last = time
     if not last:
-        raise ProfileError(f"{path}: expected opportunities up to a time later than 0")
+        raise ProfileError(
+            f"{path}: expected opportunities up to a time later than 0 ms, got none after 0 ms"
+        )
     return np.array(times, dtype=np.int64)
 
 
@@ -132,8 +136,8 @@ def _sending_times(path: Path, load: Load, duration_ns: int) -> np.ndarray:
     count = int(duration_ns * 1e-9 * load.rate_hz)
     if not 1 <= count <= MAX_PERIODS:
         raise ProfileError(
-            f"{path}: {count} messages at {load.rate_hz:g} Hz in {duration_ns * 1e-9:g} s: "
-            f"expected from 1 to {MAX_PERIODS}; --duration and --load say how many"
+            f"{path}: expected from 1 to {MAX_PERIODS} messages, got {count} at {load.rate_hz:g} "
+            f"Hz in {duration_ns * 1e-9:g} s; try another --duration or --load"
         )
     sent: np.ndarray = np.rint(np.arange(count) * (1e9 / load.rate_hz)).astype(np.int64)
     return sent

@@ -128,12 +128,14 @@ def with_one_clock(measured: Measured, *, clock: str | None, name: str) -> Measu
     up, down = measured.ways
     least = [None if way is None or way.lost.all() else _shortest(way) for way in (up, down)]
     if clock == "half":
-        raise ProfileError(f"{name}: --clock half: expected round trips, got one-way delays")
+        raise ProfileError(
+            f"{name}: --clock half: expected round trips, got one-way delays; try --clock offset"
+        )
     if clock == "offset":
         if up is None or down is None or None in least or not measured.two_clocks:
             raise ProfileError(
-                f"{name}: --clock offset: expected one-way delays of both ways: the difference "
-                "between the clocks cannot be told from less"
+                f"{name}: --clock offset: expected one-way delays of both ways, got less; give the "
+                "other way's measurement too"
             )
         offset = (_shortest(up) - _shortest(down)) // 2
         ways = (
@@ -152,9 +154,9 @@ def with_one_clock(measured: Measured, *, clock: str | None, name: str) -> Measu
         text.append(f"{direction} {shortest * 1e-6:.3f} ms")
         if shortest < 0:
             raise ProfileError(
-                f"{name}: negative {direction} delays, down to {shortest * 1e-6:.3f} ms: the "
-                "clocks of the two ends differ; expected synchronised clocks, or --clock offset "
-                "(both ways measured: equal shortest delays) or --clock half (round trips)"
+                f"{name}: expected {direction} delays of 0 or more, got negative ones, down to "
+                f"{shortest * 1e-6:.3f} ms, because the clocks of the two ends differ; try --clock "
+                "offset (both ways measured: equal shortest delays) or --clock half (round trips)"
             )
     note = f"one-way delays as the clocks of the two ends tell them, shortest {', '.join(text)}"
     return replace(measured, notes=(*measured.notes, note))

@@ -72,8 +72,8 @@ def read_ns3(path: Path, options: Options, direction: int) -> Measured:
     if found.shape == RECEPTION:
         return _receptions(path, options, direction)
     raise ProfileError(
-        f"{path}: ns-3's sendings, without delays; expected the file of the receptions, and this "
-        f"one beside it, as in {path.name.replace('Tx', 'Rx')} {path.name} OUT"
+        f"{path}: expected ns-3's receptions, got its sendings, which have no delays; give both, "
+        f"as in {path.name.replace('Tx', 'Rx')} {path.name} OUT"
     )
 
 
@@ -100,14 +100,14 @@ def _events(path: Path, options: Options, direction: int) -> Measured:
         else:
             untimed[size].append(time)
     if not delays:
-        raise ProfileError(f"{path}: expected Rx rows with a delay, found none")
+        raise ProfileError(f"{path}: expected Rx rows with a delay, got none")
     lost = _missing(sendings, origins, untimed)
     way = ordered([*sent, *lost], [*delays, *lost], np.arange(len(sent) + len(lost)) >= len(sent))
     way, unfinished = without_unfinished(way, end)
     notes = unfinished_note(unfinished)
     left_out = sum(len(times) for times in untimed.values())
     if left_out:
-        notes += (f"{path.name}: {left_out} PDUs without a delay left out",)
+        notes += (f"{path.name}: left out {left_out} PDUs without a delay",)
     return one_way(direction, way, *notes)
 
 

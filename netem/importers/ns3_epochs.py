@@ -56,7 +56,7 @@ def read_epochs(path: Path, rows: Iterable[Row], options: Options, direction: in
         _match(epochs)
     every = [epoch for epochs in bearers.values() for epoch in epochs if epoch.sent]
     if not every:
-        raise ProfileError(f"{path}: expected epochs in which data were sent, found none")
+        raise ProfileError(f"{path}: expected epochs in which data were sent, got none")
     end = max(epoch.end for epochs in bearers.values() for epoch in epochs)
     longest = max((epoch.delay for epoch in every), default=0)
     known = [epoch for epoch in every if epoch.arrived or epoch.start + longest < end]

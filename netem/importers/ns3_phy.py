@@ -35,8 +35,8 @@ def is_ns3_phy(first_line: str) -> bool:
 def refuse_alone(path: Path, options: Options, direction: int) -> Measured:
     """Raise `ProfileError`, because blocks have no delays."""
     raise ProfileError(
-        f"{path}: transport blocks of the physical layer, without delays; expected them beside "
-        f"delays, as in UlPdcpStats.txt DlPdcpStats.txt OUT --phy {path.name}"
+        f"{path}: expected delays of packets, got transport blocks of the physical layer; try "
+        f"UlPdcpStats.txt DlPdcpStats.txt OUT --phy {path.name}"
     )
 
 
@@ -87,7 +87,7 @@ def read_phy(path: Path, options: Options) -> dict[str, Series]:
             if sinrs[way]:
                 series[f"sinr_{short}_db"] = Series(time_ns, np.array(sinrs[way]), mean=True)
     if not series:
-        raise ProfileError(f"{path}: expected transport blocks, found none")
+        raise ProfileError(f"{path}: expected transport blocks, got none")
     return series
 
 

@@ -108,7 +108,7 @@ def _numbered(path: Path) -> PingLog:
         torn = _REPLY.match(text) and not fping and (sequence is None or time is None)
         if torn and not _COMPLAINT.search(text):
             if is_unfinished(path, line):
-                log.notes.append(f"{where}, unfinished: left out")
+                log.notes.append(f"left out {where}, which is unfinished")
                 break
             raise wrong(path, where, "a reply as in icmp_seq=1 ttl=64 time=0.092 ms", text)
         if fping:
@@ -162,7 +162,7 @@ def _windows(path: Path) -> PingLog:
     if len(log.trips) < len(log.seen) and not log.came:
         log.notes.append("Windows waits up to 4 s for a reply: losses may have lasted longer")
     if below:
-        log.notes.append(f"{below} round trips of less than 1 ms taken as 1 ms")
+        log.notes.append(f"{below} round trips below 1 ms count as 1 ms")
     return log
 
 
@@ -180,7 +180,7 @@ def _numbers(path: Path, seen: set[int], transmitted: int | None) -> np.ndarray:
 def measured_pings(path: Path, options: Options, log: PingLog) -> Measured:
     """Both ways of a log, half of each round trip. `ProfileError` if the log has no reply."""
     if not log.trips:
-        raise ProfileError(f"{path}: expected replies to pings, found none")
+        raise ProfileError(f"{path}: expected replies to pings, got none; ping a host that answers")
     numbers = _numbers(path, log.seen, log.transmitted)
     notes = [HALF_NOTE, "a ping without a reply counts as lost on both ways", *log.notes]
     answered = np.array(sorted(log.trips))

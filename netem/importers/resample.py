@@ -46,13 +46,16 @@ def to_profile(
     spans += [(int(s.time_ns.min()), int(s.time_ns.max())) for s in measured.series.values()]
     begin, end = max(first for first, _ in spans), min(last for _, last in spans)
     if begin > end:
-        raise ProfileError(f"{name}: expected files of one time, got some that do not overlap")
+        raise ProfileError(
+            f"{name}: expected files of one time, got some that do not overlap; give files of one "
+            "measurement"
+        )
     packets = np.concatenate([way.sent_ns for way in ways if way is not None])
     check_span(name, end - begin, period_ns)
     start = _start(packets, begin, period_ns)
     n = (end - start) // period_ns + 1
     if end - begin < 0.99 * max(last - first for first, last in spans):
-        notes.append(f"the {(end - begin) * 1e-9:.3f} s kept that all files cover")
+        notes.append(f"kept the {(end - begin) * 1e-9:.3f} s that all files cover")
     lone = options.lone_loss == "period"
     delays, filled, surprises = [], {}, defaultdict(list)
     for direction, way in zip(DIRECTIONS, ways, strict=True):
@@ -61,7 +64,10 @@ def to_profile(
             continue
         way_ns, empty = _resampled(way, start, n, period_ns, lone_losses=lone)
         if (way_ns == LOST).all():
-            raise ProfileError(f"{name}: every {direction} packet is lost in {n} periods")
+            raise ProfileError(
+                f"{name}: expected {direction} packets that arrived, got {n} periods in which all "
+                "are lost; measure again"
+            )
         delays.append(way_ns)
         filled[direction] = float((empty & (way_ns != LOST)).mean())
         surprising = (
@@ -87,20 +93,22 @@ def check_span(name: object, span_ns: int, period_ns: int) -> None:
     """Raise `ProfileError` if the span has `MAX_PERIODS` periods or more."""
     if span_ns >= MAX_PERIODS * period_ns:
         raise ProfileError(
-            f"{name}: {span_ns * 1e-9:.6g} s in periods of {period_ns * 1e-6:g} ms: expected at "
-            f"most {MAX_PERIODS} periods; are the units right? Otherwise try a longer --period"
+            f"{name}: expected at most {MAX_PERIODS} periods, got {span_ns * 1e-9:.6g} s in "
+            f"periods of {period_ns * 1e-6:g} ms; check the units, or try a longer --period"
         )
 
 
 def _check(name: str, direction: str, way: Way) -> None:
     passed = way.delay_ns[~way.lost]
     if not len(passed):
-        raise ProfileError(f"{name}: expected {direction} packets that arrived, found none")
+        raise ProfileError(
+            f"{name}: expected {direction} packets that arrived, got none; measure again"
+        )
     if passed.min() < 0 or passed.max() > MAX_DELAY_MS * 1e6:
         worst = passed.min() if passed.min() < 0 else passed.max()
         raise ProfileError(
-            f"{name}: {direction} delay of {worst * 1e-9:.6g} s: expected from 0 to "
-            f"{MAX_DELAY_MS / 1000:g} s; are the units right?"
+            f"{name}: expected {direction} delays from 0 to {MAX_DELAY_MS / 1000:g} s, got "
+            f"{worst * 1e-9:.6g} s; check the units"
         )
 
 
@@ -113,7 +121,10 @@ def _on_one_axis(name: str, measured: Measured, notes: list[str]) -> list[Way | 
     if not apart:
         return [up, down]
     if measured.series:
-        raise ProfileError(f"{name}: expected both ways of one time, got some that do not overlap")
+        raise ProfileError(
+            f"{name}: expected both ways of one time, got some that do not overlap; give files of "
+            "one measurement"
+        )
     notes.append("the two ways were measured at different times; both are taken from their start")
     return [replace(way, sent_ns=way.sent_ns - way.sent_ns[0]) for way in (up, down)]
 

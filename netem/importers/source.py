@@ -39,7 +39,9 @@ def opened(path: Path) -> Iterator[io.BufferedReader | gzip.GzipFile]:
             else:
                 yield file
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise ProfileError(f"{path}: expected a whole gzip file: {error}") from None
+        raise ProfileError(
+            f"{path}: expected a whole gzip file, got a damaged one: {error}"
+        ) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ProfileError(f"{path}: cannot read it: {reason}") from None
@@ -79,7 +81,7 @@ def lines(path: Path) -> Iterator[tuple[int, str]]:
             if len(line) == _MAX_LINE or number > MAX_RECORDS:
                 raise ProfileError(
                     f"{path}, line {number}: expected at most {MAX_RECORDS} lines, each shorter "
-                    f"than {_MAX_LINE} characters"
+                    f"than {_MAX_LINE} characters, got more; cut the file"
                 )
             yield number, line.rstrip("\n")
 
@@ -103,15 +105,19 @@ def json_document(path: Path, writer: str) -> Any:
     with opened(path) as file:
         data = file.read(_MAX_JSON + 1)
     if len(data) > _MAX_JSON:
-        raise ProfileError(f"{path}: expected at most {_MAX_JSON >> 20} MiB of JSON")
+        raise ProfileError(
+            f"{path}: expected at most {_MAX_JSON >> 20} MiB of JSON, got more; measure for a "
+            "shorter time"
+        )
     try:
         return json.loads(decoded(data))
     except json.JSONDecodeError as error:
         raise ProfileError(
-            f"{path}, line {error.lineno}: expected whole JSON, as {writer} writes it: {error.msg}"
+            f"{path}, line {error.lineno}: expected whole JSON, as {writer} writes it, got: "
+            f"{error.msg}"
         ) from None
     except (ValueError, RecursionError) as error:
-        raise ProfileError(f"{path}: expected JSON as {writer} writes it: {error}") from None
+        raise ProfileError(f"{path}: expected JSON as {writer} writes it, got: {error}") from None
 
 
 def wrong(path: Path, where: str, expected: str, got: object) -> ProfileError:

@@ -87,7 +87,7 @@ def read_table(path: Path, options: Options, direction: int) -> Measured:
         _expect_no_mark(path, key, read)
         none = int(((delays[key] == 0) & ~lost[key]).sum())
         if none and key != "received":
-            notes += (f"{none} of {len(sent)} {key} values are exactly 0; if lost: --lost 0",)
+            notes += (f"{none} of {len(sent)} {key} values are exactly 0; if lost, try --lost 0",)
     if "rtt" in others:
         ways = halved(sent, delays["rtt"], lost["rtt"])
         return Measured(ways, (HALF_NOTE, *notes), {"split": "half"})
@@ -98,7 +98,10 @@ def read_table(path: Path, options: Options, direction: int) -> Measured:
         way = ordered(sent, delays["delay"], lost["delay"])
         return replace(one_way(direction, way, *notes), two_clocks=True)
     if set(others) != {"uplink", "downlink"}:
-        raise ConfigError(f"{path}: columns: expected both uplink= and downlink=")
+        raise ConfigError(
+            f"{path}: columns: expected both uplink= and downlink=, got {', '.join(others)}; name "
+            "both"
+        )
     up, down = (ordered(sent, delays[key], lost[key]) for key in ("uplink", "downlink"))
     return Measured((up, down), notes, two_clocks=True)
 
@@ -108,14 +111,15 @@ def _joined(path: Path, options: Options, direction: int) -> Measured:
     receiver = options.beside.get(path)
     if receiver is None:
         raise ProfileError(
-            f"{path}: expected two tables to join by id: the sender's, the receiver's"
+            f"{path}: expected two tables to join by id, the sender's and the receiver's, got one; "
+            "try SENDER RECEIVER OUT"
         )
     given = options.columns
     keys = [next((k for k in (own, "time") if k in given), "") for own in ("sent", "received")]
     if not all(keys) or not set(given) <= {"id", *keys}:
         raise ConfigError(
-            f"{path}: columns: expected a time and an id, as in --columns 'time=1(ns),id=2', or "
-            "sent= and received= where the tables have other names for them"
+            f"{path}: columns: expected a time and an id, got {', '.join(given)}; try --columns "
+            "'time=1(ns),id=2', or sent= and received= if the names of the columns differ"
         )
     read = []
     for file, key in zip((path, receiver), keys, strict=True):
@@ -132,11 +136,14 @@ def _joined(path: Path, options: Options, direction: int) -> Measured:
     came = np.array([arrived.get(key, LOST_NS) for key in near.ids], dtype=np.int64)
     lost = came == LOST_NS
     if lost.all():
-        raise ProfileError(f"{path}, {receiver}: expected the same ids in both, found none")
+        raise ProfileError(
+            f"{path}, {receiver}: expected the same ids in both, got none; check the column of the "
+            "ids"
+        )
     strangers = len(arrived) - int((~lost).sum())
     notes = (*near.notes, *far.notes, *stepped_back_note(sent))
     if strangers:
-        notes += (f"{strangers} ids that only {receiver.name} has left out",)
+        notes += (f"left out {strangers} ids that only {receiver.name} has",)
     way, unfinished = without_unfinished(
         ordered(sent, np.where(lost, 0, came - sent), lost), int(times.max())
     )
@@ -154,7 +161,7 @@ def _read(path: Path, columns: Mapping[str, str], options: Options) -> Read:
     parquet = head(path, size=4) == PARQUET
     read = (read_parquet if parquet else read_text)(path, columns, options)
     if not len(read.rows):
-        raise ProfileError(f"{path}: expected rows below the header, found none")
+        raise ProfileError(f"{path}: expected rows below the header, got none")
     return read
 
 
@@ -170,6 +177,6 @@ def _expect_no_mark(path: Path, key: str, read: Read) -> None:
         where = read.rows[int(np.flatnonzero(values == low[0])[0])]
         raise ProfileError(
             f"{path}, {where}: expected {key} as a time, got {mark}, as in {len(low)} of "
-            f"{len(values)} rows and with no other {'negative ' * (mark < 0)}value near it; if "
-            f"these were lost: --lost {mark}"
+            f"{len(values)} rows and with no other {'negative ' * (mark < 0)}value near it; try "
+            f"--lost {mark} if these were lost"
         )

@@ -102,10 +102,13 @@ def parquet_names(path: Path) -> list[str]:
     try:
         with parquet.ParquetFile(path) as file:
             if file.metadata.num_rows > MAX_RECORDS:
-                raise ProfileError(f"{path}: expected at most {MAX_RECORDS} rows")
+                raise ProfileError(
+                    f"{path}: expected at most {MAX_RECORDS} rows, got {file.metadata.num_rows}; "
+                    "cut it"
+                )
             return [file.schema.column(k).path for k in range(len(file.schema))]
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise ProfileError(f"{path}: expected a parquet file: {_one_line(error)}") from None
+        raise ProfileError(f"{path}: expected a parquet file, got: {_one_line(error)}") from None
 
 
 def _one_line(error: BaseException) -> str:

@@ -55,7 +55,7 @@ def read_text(path: Path, columns: Mapping[str, str], options: Options) -> Read:
             if names or len(numbers) or line > PREAMBLE:
                 raise
             del ids[len(numbers) :]
-            notes = (f"{path.name}: what is above the first row of numbers left out",)
+            notes = (f"{path.name}: left out the lines above the first row of numbers",)
             continue
         for key, value in row.items():
             values[key].append(value)

@@ -28,7 +28,7 @@ _CLOCK = r"(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d{1,9})\d*)?)?"
 _DATE_TIME = re.compile(rf"(\d{{4}})[-/.](\d\d?)[-/.](\d\d?)(?:[T_]| +){_CLOCK}{_ZONE}", re.ASCII)
 _TIME_OF_DAY = re.compile(_CLOCK, re.ASCII)
 _DAY_NS = 86_400_000_000_000
-DAY_NOTE = "times of day: one that steps back by half a day or more is of the next day"
+DAY_NOTE = "times of day: a time that steps back by half a day or more is on the next day"
 
 
 def bare(name: str) -> str:

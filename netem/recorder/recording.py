@@ -95,7 +95,10 @@ def reconstruct(
         sent_ns, each = _up_to(end_ns, sent[way], each, period_ns=period_ns)
         by_period, slept = resample(sent_ns, each, start_ns=start_ns, period_ns=period_ns, n=n)
         if np.all(by_period == LOST):
-            raise LinkError(f"every {DIRECTIONS[way]} message was lost; no profile is written")
+            raise LinkError(
+                f"expected {DIRECTIONS[way]} messages that arrive, got only lost ones; no profile "
+                "is written"
+            )
         delays.append(by_period)
         held.append(slept)
         impossible.append(int(np.count_nonzero(negative)))

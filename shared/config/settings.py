@@ -415,7 +415,9 @@ class RunConfig:
         for key, each in SETTINGS.items():
             each.check(key, attrgetter(key)(self))
         if self.loop.period_ns != 1_000_000:
-            raise ConfigError("loop.period_ns: only 1000000 (1 kHz) is supported")
+            raise ConfigError(
+                f"loop.period_ns: expected 1000000 (1 kHz), got {self.loop.period_ns}"
+            )
         if not 0 < self.loop.fresh_within_ns < self.loop.period_ns:
             raise ConfigError(
                 "loop.fresh_within_ns: expected a deadline inside the period, "

@@ -50,8 +50,8 @@ def _check(description: RobotDescription, model: pin.Model) -> None:
     for foot in description.feet:
         if foot.joint not in joints:
             raise ConfigError(
-                f"robot {description.name}: no joint {foot.joint!r} to carry the {foot.side.value} "
-                f"foot; the URDF has {', '.join(joints[2:])}"
+                f"robot {description.name}: expected the joint of the {foot.side.value} foot, one "
+                f"of {', '.join(joints[2:])}, got {foot.joint!r}"
             )
     if description.posture not in postures:
         raise ConfigError(

@@ -297,7 +297,7 @@ def test_an_unfinished_last_line_is_left_out_and_told(convert, written):
         text = log(reply(1, 4), reply(2, 8)) + torn
         profile = convert(written("p.log", text), "--interval", "1ms")
         assert profile.delays_ns[UPLINK].tolist() == [2 * MS, 4 * MS]
-        assert "line 4, unfinished: left out" in profile.metadata["notes"]
+        assert "left out line 4, which is unfinished" in profile.metadata["notes"]
 
 
 STAMPS = {
@@ -434,7 +434,7 @@ def test_a_time_below_a_millisecond_is_said(convert, written):
     frame, answer, _ = WINDOWS["IPv6"]
     text = frame.format(lines=answer.format(t=5).replace("=5", "<1") + "\n")
     notes = convert(written("p.txt", text)).metadata["notes"]
-    assert any("less than 1 ms taken as 1 ms" in note for note in notes)
+    assert any("below 1 ms count as 1 ms" in note for note in notes)
 
 
 def test_fping_is_read_with_its_times(convert, refused, written):

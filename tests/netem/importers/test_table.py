@@ -199,7 +199,7 @@ def test_clocks_a_millisecond_apart_remain_a_matter_of_clocks(refused, written):
 def test_delays_of_exactly_zero_are_told(convert, written):
     file = written("t.csv", "t_s,rtt_ms\n0,20\n0.05,0\n0.1,20\n")
     profile = convert(file, "--columns", "sent=t_s,rtt=rtt_ms")
-    assert "1 of 3 rtt values are exactly 0; if lost: --lost 0" in profile.metadata["notes"]
+    assert "1 of 3 rtt values are exactly 0; if lost, try --lost 0" in profile.metadata["notes"]
 
 
 # Times as people write them --------------------------------------------------------------------
