@@ -118,7 +118,7 @@ def make_study(table: dict[str, Any], *, seeds: int | None = None, quick: bool =
 def _study(table: dict[str, Any]) -> Study:
     for key in table:
         if key not in _KEYS:
-            raise ConfigError(f"study: {one_of(_KEYS, key)}")
+            raise ConfigError(one_of(_KEYS, key))
     seeds = table.get("seeds", DEFAULT_SEEDS)
     if not is_integer(seeds) or seeds < 1:
         raise ConfigError(f"seeds: expected a number of at least 1, got {seeds!r}")

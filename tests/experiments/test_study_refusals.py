@@ -15,8 +15,8 @@ BISECT_LOOP = "[bisect]\nsetting = 'loop.period_ns'\n"
     [
         ("seeds = 0", "seeds: expected a number of at least 1, got 0"),
         ("seeds = true", "seeds: expected a number of at least 1, got True"),
-        ("seed = 3", "seed: unknown; valid here: name, description, seeds"),
-        ("[base]\nseed = 3", "seed: not a setting of a study; give the number"),
+        ("seed = 3", "expected one of name, description, seeds, "),
+        ("[base]\nseed = 3", "seed: expected seeds, the number of seeds of a study, got"),
         ("[base]\nwalk.stepp = 3", "the only cell: walk.stepp: expected some of steps"),
         ("base = 3", "base: expected a table of settings, got 3"),
         ("[base]\nlink.network = 'constant:1'", "expected a duration as in 30ms"),
@@ -57,7 +57,7 @@ BISECT_LOOP = "[bisect]\nsetting = 'loop.period_ns'\n"
         ("[quick]\ncells = ['a']", "quick: cells: expected names among none, got ['a']"),
         ("[[cells]]\nname = 'a'\n[quick]\ncells = []", "expected names among a, got []"),
         ("bisect = 3", "bisect: expected a table, got 3"),
-        ("[bisect]\nsettings = 'x'", "bisect.settings: unknown; valid here: setting, value, low, "),
+        ("[bisect]\nsettings = 'x'", "bisect: expected one of setting, value, low, "),
         ("[bisect]\nvalue = 1\nhigh = 9", "bisect.setting: expected the name of a setting, got N"),
         (f"{BISECT_LOOP}value = 'x'\nhigh = 9", "bisect.value: expected text with {} for the inte"),
         (f"{BISECT_LOOP}value = 0\nhigh = 9", "or a number to multiply by it, got 0"),
@@ -73,7 +73,7 @@ BISECT_LOOP = "[bisect]\nsetting = 'loop.period_ns'\n"
         ),
         (
             f"{BISECT_LOOP}value = 1\nhigh = 9\nalso = {{ loop = {{ period_ns = 1 }} }}",
-            "bisect.also.loop.period_ns: expected settings other than the bisected one",
+            "bisect.also: expected settings other than the bisected one, got loop.period_ns",
         ),
         (
             f"{BISECT_LOOP}value = 1\nhigh = 9\nalso = {{ task = 'walk' }}",
@@ -83,7 +83,10 @@ BISECT_LOOP = "[bisect]\nsetting = 'loop.period_ns'\n"
             f"{BISECT_LOOP}value = 1\nhigh = 9\n[grid]\nloop.period_ns = [1, 2]",
             "loop.period_ns: expected in one of grid, cells, random and bisect, got it in two",
         ),
-        ("[bisect]\nsetting = 'seed'\nvalue = 1\nhigh = 9", "seed: not a setting of a study"),
+        (
+            "[bisect]\nsetting = 'seed'\nvalue = 1\nhigh = 9",
+            "seed: expected seeds, the number of seeds",
+        ),
         (
             "[bisect]\nsetting = 'x.y'\nvalue = 1\nhigh = 9",
             "only cell: x: expected some of task",

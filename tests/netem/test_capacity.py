@@ -148,7 +148,7 @@ def test_a_link_that_carries_nothing_is_refused():
     profile = recorded(
         [1.0] * 4, size=1, uplink_capacity_bytes=nothing, downlink_capacity_bytes=nothing
     )
-    with pytest.raises(ProfileError, match="uplink carries nothing"):
+    with pytest.raises(ProfileError, match="expected bytes that the uplink carries, got none"):
         capacity_of(profile)
 
 

@@ -188,7 +188,7 @@ def test_a_csv_without_rows_is_refused(csv_file):
 
 
 def test_a_csv_that_is_no_text_is_refused(csv_file):
-    assert "not a text file" in message_of(csv_file(HEADER.encode() + bytes(range(128, 256))))
+    assert "expected text, got" in message_of(csv_file(HEADER.encode() + bytes(range(128, 256))))
 
 
 @pytest.mark.parametrize("row", ["lost,1", "1,lost"])
@@ -219,8 +219,14 @@ GOOD = np.array([1000, 2000, 3000])
         ({"uplink_us": GOOD[None], "downlink_us": GOOD[None]}, ["(1, 3)"]),
         ({"uplink_us": np.array(3), "downlink_us": np.array(4)}, ["()"]),
         ({"uplink_us": GOOD[:0], "downlink_us": GOOD[:0]}, ["(0,)"]),
-        ({"uplink_us": GOOD, "downlink_us": np.array([5, -2, 7])}, ["downlink_us[1] = -2", "µs"]),
-        ({"uplink_us": np.array([-1, -1, -1]), "downlink_us": GOOD}, ["every uplink"]),
+        (
+            {"uplink_us": GOOD, "downlink_us": np.array([5, -2, 7])},
+            ["downlink_us[1]: expected a delay", "µs", "got -2"],
+        ),
+        (
+            {"uplink_us": np.array([-1, -1, -1]), "downlink_us": GOOD},
+            ["expected uplink messages that arrive, got only lost ones"],
+        ),
         ({"uplink_us": np.array(["a", "b", "c"]), "downlink_us": GOOD}, ["uplink_us"]),
         ({"uplink_us": np.array([1, None, 2]), "downlink_us": GOOD}, ["uplink_us"]),
         ({"uplink_us": np.array([1.0, np.nan, 2.0]), "downlink_us": GOOD}, ["uplink_us"]),

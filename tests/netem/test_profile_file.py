@@ -88,7 +88,7 @@ def test_a_name_of_another_kind_is_refused(tmp_path):
         ("# only: metadata\n", "expected the header uplink_ms,downlink_ms"),
         (
             "uplink_ms,downlink_ms,uplink_capacity_bytes\n1,2,-5\n",
-            "uplink_capacity_bytes: expected no negative",
+            "uplink_capacity_bytes: expected numbers of bytes of 0 or more",
         ),
     ],
 )

@@ -50,7 +50,7 @@ TALOS = CATALOGUE["talos"]
         ),
         (
             {"feet": (TALOS.feet[0], dataclasses.replace(TALOS.feet[1], joint="toe"))},
-            "no joint 'toe' to carry the right foot; the URDF has leg_left_1_joint",
+            "expected the joint of the right foot, one of leg_left_1_joint",
         ),
     ],
     ids=["posture", "joint"],

@@ -164,7 +164,7 @@ def test_a_train_delays_a_message_by_its_last_packet(convert, written):
     )
     assert profile.delays_ns[UPLINK].tolist() == [21 * MS, 31 * MS, 22 * MS]
     assert profile.delays_ns[DOWNLINK].tolist() == [24 * MS, 36 * MS, 24 * MS]
-    assert any("drawn out" in note for note in profile.metadata["notes"])
+    assert any("trains are shorter" in note for note in profile.metadata["notes"])
 
 
 def test_between_trains_the_base_delay_changes_gradually(convert, written):

@@ -101,7 +101,7 @@ def test_one_way_alone_is_refused_with_how_to_say_the_other(refused, sample, wri
     for words in ("--uplink", "--downlink", "--other-way same", "--other-way constant:5ms"):
         assert words in text
     nameless = written("pdcp.txt", sample("UlPdcpStats_perpacket.txt").read_bytes())
-    assert "which way" in refused(nameless, "--other-way", "constant:5ms")
+    assert "expected a file of a known way" in refused(nameless, "--other-way", "constant:5ms")
 
 
 @pytest.mark.parametrize("file", ["nothing.txt", ".", "nothing.npz"])
@@ -123,10 +123,10 @@ def test_a_file_that_cannot_be_read_is_refused(refused, tmp_path, file):
         (("--correlation", "150%"), "--correlation: expected a fraction"),
         (("--queue", "3"), "--queue: expected a size"),
         (("--seed", "-1"), "--seed"),
-        (("--pause", "skip"), "--pause: expected refuse, cut, lost"),
+        (("--pause", "skip"), "--pause: expected one of refuse, cut, lost"),
         (("--lone-loss", "1ms"), "--lone-loss: expected interval or period"),
-        (("--interval", "10ms"), "--interval: only ping, table takes it"),
-        (("--jitter", "10ms"), "--jitter: only netem takes it"),
+        (("--interval", "10ms"), "--interval: expected a file of ping, table, got"),
+        (("--jitter", "10ms"), "--jitter: expected a file of netem, got"),
         (("--other-way", "up"), "--other-way: expected same or constant:5ms"),
         (("--other-way", "constant:5"), "--other-way: expected a duration"),
     ],

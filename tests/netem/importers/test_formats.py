@@ -110,8 +110,8 @@ def test_of_several_series_of_flent_one_is_chosen(convert, refused, written):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ([], "raw values of pings with numbers, found none"),
-        ([{"dur": 0.2, "t": 1.0, "val": 5.2}], "found none"),
+        ([], "raw values of pings with numbers, got none"),
+        ([{"dur": 0.2, "t": 1.0, "val": 5.2}], "got none"),
         ([*pings(1), {"t": 2.0}], "Ping (ms) ICMP, value 1: expected a seq, a time t and a val"),
         ([*pings(1), {"seq": "x", "t": 2.0, "val": 1}], "a whole seq, got 'x'"),
         ([*pings(1), {"seq": 2, "t": "x", "val": 1}], "a time in s, got 'x'"),

@@ -273,7 +273,7 @@ def test_sendings_beside_receptions_tell_what_was_lost(convert, refused, written
     assert any("mine-NrUlTx.txt" in note for note in profile.metadata["notes"])
     other = written("NrUlRxStats-1.txt", arrived)
     assert convert(other, up_sent, "--other-way", "same").delays_ns.tolist() == [expected] * 2
-    assert "sendings, without delays" in refused(up_sent)
+    assert "sendings, which have no delays" in refused(up_sent)
     assert "beside it" in refused(up, down, up_sent, written("x-NrUlTx.txt", sent))
 
 
@@ -350,7 +350,7 @@ def test_a_corrupt_block_carries_nothing(convert, sample, written, header):
 
 def test_transport_blocks_alone_have_no_delays(refused, sample):
     text = refused(sample("RxPacketTrace.txt"))
-    assert "without delays" in text
+    assert "expected delays of packets, got transport blocks" in text
     assert "--phy" in text
 
 

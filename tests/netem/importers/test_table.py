@@ -351,7 +351,7 @@ def swapped(rows):
     ("near", "far", "columns", "words"),
     [
         (NEAR + "5,0003\n", FAR, JOIN, "line 21: expected an id that no other row has, got '0003'"),
-        (NEAR, "7,x\n", JOIN, "the same ids in both, found none"),
+        (NEAR, "7,x\n", JOIN, "the same ids in both, got none"),
         (NEAR, FAR, ("--columns", "rtt=1(ns),id=2"), "a time and an id"),
     ],
 )
