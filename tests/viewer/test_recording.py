@@ -108,7 +108,7 @@ def swap_tables(run: Path) -> None:
     ("spoil", "message"),
     [
         (spoil_config, "robot: expected one of romeo"),
-        (remove_telemetry, "found no telemetry.parquet"),
+        (remove_telemetry, "got one without telemetry.parquet"),
         (spoil_telemetry, "cannot read"),
         (spoil_columns, "cannot read"),
         (swap_tables, "expected the rows of a romeo as this version records them, found no tick"),
