@@ -20,20 +20,25 @@ import numpy as np
 import pyarrow as pa
 
 from shared.commands import wbc
+from shared.config.extensions import corrects
 from shared.config.settings import RunConfig
 from shared.file_lock import is_locked
-from shared.output.report import discrepancy_report, edge_report, link_report, robot_report, summary
+from shared.output.link_met import link_met
+from shared.output.report import discrepancy_report, edge_report, link_report, robot_report
+from shared.output.summary import summary
+from shared.output.validity import Machine, edge_ms, shim_ms
 from shared.process.entry import python
+from shared.process.realtime import usable_cores
 from shared.telemetry.lives import KINDS, lives, recover
 from shared.telemetry.parquet import read_parquet
 from shared.telemetry.row_log import read_rows
-from shared.telemetry.schema import Schema
+from shared.telemetry.schema import SOLVE_SCHEMA, Schema
 from shared.wbc.qp import QpStatus
 
 SUMMARY = "summary.json"
 STEMS = _ROBOT, _EDGE, _LINK = ("telemetry", "edge", "link")
 # Only these columns are read: all columns of an hour do not fit into memory.
-_COMPARED = ("tick", "time_ns", "active_set", "com_error_m", "contact_violation_m_s2")
+_COMPARED = ("tick", "time_ns", "wall_ns", "active_set", "com_error_m", "contact_violation_m_s2")
 
 
 def summarise(
@@ -42,13 +47,15 @@ def summarise(
     say: Callable[[str], None],
     *,
     services: dict[str, Any] | None = None,
+    other_stacks: int = 0,
 ) -> dict[str, Any] | None:
     """Return the summary, and write it to `summary.json` in place of the services' reports.
 
-    `services` is the supervisor's part. Rows of killed lives become Parquet. `say` gets a line for
+    `services` is the supervisor's part, `other_stacks` the largest number of other stacks that ran
+    on this machine at a time. Rows of killed lives become Parquet. `say` gets a line for
     a file that cannot be written. Return None if the robot left neither a report nor rows.
     """
-    result = _summary(run, config, services or {})
+    result = _summary(run, config, services or {}, other_stacks)
     if result is not None:
         text = json.dumps(result, indent=2)
         try:
@@ -71,7 +78,9 @@ def summarise(
     return result
 
 
-def _summary(run: Path, config: RunConfig, services: dict[str, Any]) -> dict[str, Any] | None:
+def _summary(
+    run: Path, config: RunConfig, services: dict[str, Any], other_stacks: int
+) -> dict[str, Any] | None:
     robot = _whole(run, _ROBOT, _edge_report, _robot_from_rows)
     if robot is None:
         return None
@@ -80,7 +89,7 @@ def _summary(run: Path, config: RunConfig, services: dict[str, Any]) -> dict[str
         robot=robot,
         edge=_whole(run, _EDGE, _edge_report, _edge_from_rows),
         link=_whole(run, _LINK, _link_report, partial(_link_from_rows, config.link.network)),
-        discrepancy=_discrepancy(run),
+        **_joined(run, config, other_stacks),
     )
     return {**result, "services": services}
 
@@ -166,6 +175,7 @@ def _robot_from_rows(rows: _Rows) -> dict[str, Any]:
         refused=None,
         answers=None,
         sensor_faults=None,
+        torque_limits={},
     )
 
 
@@ -203,6 +213,7 @@ def _edge_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, A
 
 
 def _link_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, Any]:
+    """The report of several lives. Each began the profile anew, so that no place in it holds."""
     passes = sum(report["profile_passes"] for report in reports)
     return link_report(rows, profile=reports[-1]["profile"], passes=passes)
 
@@ -220,13 +231,28 @@ def _added(counts: Iterable[dict[str, int]]) -> dict[str, int]:
     return dict(total)
 
 
-def _discrepancy(run: Path) -> dict[str, Any] | None:
-    """Return the report of the active set, from the ticks whose state the edge has solved."""
-    solves = [rows[1] for name in lives(run, _EDGE) if (rows := _rows(run, name)) is not None]
+def _joined(run: Path, config: RunConfig, other_stacks: int) -> dict[str, Any]:
+    """Return the parts of the summary that need the rows of several services."""
     ticks = _rows(run, _ROBOT, columns=_COMPARED)
-    if not solves or ticks is None:
-        return None
-    return discrepancy_report(*ticks, np.concatenate(solves))
+    solve_rows, link_rows = (_all_rows(run, stem) for stem in (_EDGE, _LINK))
+    discrepancy = met = response = None
+    if ticks is not None and solve_rows is not None:
+        discrepancy = discrepancy_report(*ticks, solve_rows)
+        # Without a shim here, only a direct link has no delay.
+        if link_rows is not None or config.link.network == "direct":
+            response = edge_ms(*ticks, link_rows, solve_rows)
+    if ticks is not None and link_rows is not None:
+        solves = np.empty((0, SOLVE_SCHEMA.width)) if solve_rows is None else solve_rows
+        met = link_met(*ticks, link_rows, solves, steady=not corrects(config.controller))
+    lateness = None if link_rows is None else shim_ms(link_rows)
+    machine = Machine(usable_cores(), other_stacks, response, lateness)
+    return {"discrepancy": discrepancy, "met": met, "machine": machine}
+
+
+def _all_rows(run: Path, stem: str) -> np.ndarray | None:
+    """Return the rows of all lives of a service; None if it left none."""
+    tables = [rows[1] for name in lives(run, stem) if (rows := _rows(run, name)) is not None]
+    return np.concatenate(tables) if tables else None
 
 
 def _report(file: Path) -> dict[str, Any] | None:

@@ -31,6 +31,7 @@ from deploy.background.state import (
 )
 from deploy.console.terminal import Terminal
 from deploy.console.watch import open_hub, private_socket, status_of, tell
+from deploy.neighbours import Neighbours
 from deploy.outcome import record, summarise
 from deploy.plan import ROBOT, VIEWER, Plan, PlannedService
 from deploy.services import HELD, IGNORED, OUTCOME
@@ -38,11 +39,13 @@ from deploy.supervisor import Launch, Supervisor
 from shared.commands import wbc
 from shared.config.settings import RunConfig
 from shared.errors import LinkError, UserError
-from shared.output.report import summary_in_words
+from shared.output.summary import summary_in_words
 from shared.process.cli import EXIT_FELL, EXIT_STANDING
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, python
 
 _STATUS_SECONDS = 0.1
+# Looks for other stacks take milliseconds.
+_LOOK_SECONDS = 1.0
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ class StackRun:
         self._terminal = Terminal()
         self._supervisor = Supervisor(run.out, self._say, changed=self._publish)
         self._watched = run.plan.has(VIEWER)
+        self._neighbours = Neighbours()
+        self._look_at = 0.0
         # In the background: whether the terminal of the parent process is released.
         self._let_go = False
         self._stop = asyncio.Event()
@@ -172,6 +177,7 @@ class StackRun:
                     raise
                 self._say(step.name, f"the run goes on without {step.name}: {error}")
                 self._watched = False
+            self._look(again=True)
         self._put(READY)
         self._tell_ready()
         return await self._watch()
@@ -191,6 +197,7 @@ class StackRun:
     async def _watch(self) -> int:
         ending = asyncio.create_task(self._supervisor.wait())
         while not ending.done():
+            self._look()
             if self._stop.is_set():
                 self._terminal.say("up", "stopping")
                 ending.cancel()
@@ -198,6 +205,8 @@ class StackRun:
             if self._run.plan.has(ROBOT):
                 tell(self._status, self._terminal, degraded=self._state.degraded)
             await asyncio.wait({ending}, timeout=_STATUS_SECONDS)
+        # A busy machine may have left this process no time before.
+        self._look(again=True)
         service, code = ending.result()
         if service.end == OUTCOME and code in (EXIT_STANDING, EXIT_FELL, EXIT_INTERRUPTED):
             await self._linger()
@@ -209,6 +218,13 @@ class StackRun:
             reason = self._supervisor.last_line(service.name).removeprefix("error: ")
             text += f"; its last line: {reason}"
         raise LinkError(text)
+
+    def _look(self, *, again: bool = False) -> None:
+        """Count the other stacks, once in `_LOOK_SECONDS` or `again` now."""
+        now = time.monotonic()
+        if again or now >= self._look_at:
+            self._look_at = now + _LOOK_SECONDS
+            self._neighbours.look([each.pid for each in self._supervisor.states()])
 
     async def _linger(self) -> None:
         """Leave the view open until Ctrl-C, or until the user closes it."""
@@ -266,6 +282,7 @@ class StackRun:
                 }
                 for service in again
             },
+            other_stacks=self._neighbours.most,
         )
         if result is None:
             return ""
@@ -281,11 +298,12 @@ class StackRun:
         return text.splitlines()[0]
 
     def _happened(self, again: list[ServiceState]) -> list[str]:
-        """Return a line with events and restarts, which the services' files do not have."""
+        """Return a line with pushes and restarts, which the services' files do not have."""
         restarts = [
             f"{service.name} started again {service.restarts} ×"
             + (f", degraded for {service.degraded_seconds:g} s" * (service.degraded_seconds > 0))
             for service in again
         ]
-        text = "; ".join([*filter(None, [self._status.events.in_words()]), *restarts])
+        pushes = self._status.events.pushes
+        text = "; ".join([*[f"pushed with {', '.join(pushes)}"] * bool(pushes), *restarts])
         return [f"  {text}"] if text else []

@@ -19,6 +19,7 @@ from shared.bus.security import EDGE
 from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
 from shared.motion.plan import make_motion
+from shared.output.no_start import refused_in_words
 from shared.output.report import edge_report
 from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
 from shared.process.realtime import RealtimeBudget, prepare, suspend_garbage_collection
@@ -122,8 +123,9 @@ def main() -> int:
         )
     )
     print(
-        f"stopped: {report['link']['downlink']['sent']} projectors sent, "
-        f"solve p50 {report['edge_solve_ms']['p50']} ms, refused {dict(node.refused) or 'none'}",
+        f"stopped: {report['link']['downlink']['sent']} answers sent, "
+        f"solve p50 {report['edge_solve_ms']['p50']} ms, "
+        f"refused {refused_in_words(node.refused) or 'no message'}",
         flush=True,
     )
     # Last, because a neighbour that is cut off makes it wait.

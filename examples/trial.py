@@ -13,7 +13,7 @@ import numpy as np
 
 from experiments.lockstep import Lockstep, TrialResult
 from shared.config.config_file import load_config
-from shared.output.report import summary_in_words
+from shared.output.summary import summary_in_words
 
 
 def play(controller: str, *, duration: float) -> TrialResult:

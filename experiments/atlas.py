@@ -23,7 +23,7 @@ from experiments.studies.study import Study
 from experiments.studies.study_file import make_study
 from experiments.studies.study_tables import flattened
 from experiments.studies.sweep import sweep, workers_from
-from experiments.studies.trial_table import wilson_interval
+from experiments.studies.trial_table import errors_in_words, wilson_interval
 from experiments.studies.workers import EXAMPLE
 from shared.config.config_file import load_config
 from shared.config.extensions import CONTROLLERS, TASKS
@@ -84,10 +84,7 @@ def run_atlas(arguments: argparse.Namespace) -> int:
         (out / "atlas.txt").write_text(text + "\n", encoding="utf-8")
         pq.write_table(pa.Table.from_pylist(squares), out / "atlas.parquet")
     draw_figure(shown, [FELL], x=DELAY, by=PUSH, panels="controller", as_map=True, out=picture)
-    errors = [row["error"] for row in rows if row["error"] is not None]
-    if errors:
-        print(f"trials ended with an error: {len(errors)}; the first: {errors[0]}")
-    print(picture)
+    print("\n".join([*errors_in_words(rows), str(picture)]))
     return EXIT_STANDING
 
 

@@ -14,7 +14,7 @@ import matplotlib as mpl
 import numpy as np
 
 from experiments.studies.study import value_in_words
-from experiments.studies.trial_table import read_trials, wilson_interval
+from experiments.studies.trial_table import errors_in_words, read_trials, wilson_interval
 from shared.errors import ConfigError, one_of
 from shared.output.figure import save_figure
 from shared.process.cli import EXIT_STANDING
@@ -60,7 +60,7 @@ def run_figure(arguments: argparse.Namespace) -> int:
         as_map=arguments.map,
         out=arguments.out,
     )
-    print(arguments.out)
+    print("\n".join([*errors_in_words(rows), str(arguments.out)]))
     return EXIT_STANDING
 
 

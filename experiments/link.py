@@ -34,7 +34,7 @@ mpl.use("agg")
 from matplotlib import pyplot as plt
 
 _PUSH = "100N@1.0s:0.2s:+y"
-_AGE = "projector_age_ms.max"
+_AGE, _MET, _REASON = "projector_age_ms.max", "worst_outage.ms", "fall_reason"
 _STANDS, _FALLS = "tab:green", "tab:red"
 
 Row = dict[str, Any]
@@ -97,7 +97,7 @@ def run_link(arguments: argparse.Namespace) -> int:
     out = arguments.out or Path("runs") / study.name
     played = sweep(study, out=out, workers=workers_from(arguments.workers))
     rows = [{**row, "start": starts[row["cell"]]} for row in played]
-    text = "\n".join([*verdicts(rows, profile, found), "", *table(rows, found)])
+    text = "\n".join([*verdicts(rows, profile), "", *table(rows), *falls(rows, profile)])
     picture = out / "link.png"
     print(text)
     with writing(out, what="out"):
@@ -177,51 +177,60 @@ def study_of(
             "cells": [
                 {"name": name, "link.start": f"{start:.6f}s"} for name, start in starts.items()
             ],
-            "columns": ["fell", "task_seconds", _AGE],
+            "columns": ["fell", "task_seconds", _AGE, _MET, _REASON],
         },
         seeds=1,
     )
 
 
-def table(rows: Sequence[Row], found: Sequence[LinkOutage]) -> list[str]:
+def verdicts(rows: Sequence[Row], profile: DelayProfile) -> list[str]:
+    """A sentence for each controller, and one for each trial that is not counted."""
+    lines = []
+    for controller, played in _by_controller(rows).items():
+        fallen = [_fell_at(row, profile) for row in played if row["fell"]]
+        name, of = CONTROLLERS.label(controller), len(played)
+        if fallen:
+            where = f"first at {min(fallen):.2f} s of the link"
+            lines.append(f"{name} falls in {len(fallen)} of {of} windows, {where}.")
+        elif played:
+            lines.append(f"{name} stands in all {of} windows.")
+        else:
+            lines.append(f"{name} has no result: the trials ended as follows.")
+    return lines + [
+        f"{CONTROLLERS.label(row['controller'])}, {row['cell']}: not counted: {row['error']}"
+        for row in rows
+        if row["error"] is not None
+    ]
+
+
+def table(rows: Sequence[Row]) -> list[str]:
     """A line for each controller: windows, falls, the longest outage met, the oldest answer."""
     lines = [["controller", "windows", "stood", "longest outage met", "oldest answer used"]]
     for controller, played in _by_controller(rows).items():
-        met = max((_met(row, found) for row in played), default=0.0)
+        met = max((row[_MET] for row in played), default=0.0)
         ages = [row[_AGE] for row in played if row[_AGE] is not None]
         lines.append(
             [
                 CONTROLLERS.label(controller),
                 str(len(played)),
                 str(sum(not row["fell"] for row in played)),
-                f"{met * 1e3:.0f} ms" if met else "none",
+                _milliseconds(met),
                 f"{max(ages):.0f} ms" if ages else "-",
             ]
         )
     return aligned(lines)
 
 
-def verdicts(rows: Sequence[Row], profile: DelayProfile, found: Sequence[LinkOutage]) -> list[str]:
-    """A sentence for each controller, and one for each trial that ended with an error."""
-    lines = []
+def falls(rows: Sequence[Row], profile: DelayProfile) -> list[str]:
+    """A line for each fall, by its place on the link, with its reason; [] without falls."""
+    lines = [["falls", "at", "window", "outage met", "reason (times from the window's begin)"]]
     for controller, played in _by_controller(rows).items():
-        fallen = [row for row in played if row["fell"]]
-        name = CONTROLLERS.label(controller)
-        if not fallen:
-            lines.append(f"{name} stands in all {len(played)} windows.")
-            continue
-        lines.append(f"{name} falls in {len(fallen)} of {len(played)} windows:")
-        for row in sorted(fallen, key=lambda row: row["start"]):
-            at = (row["start"] + row["task_seconds"]) % (profile.duration_ns * 1e-9)
-            met = _met(row, found)
-            reason = f" after an outage of {met * 1e3:.0f} ms" if met else ", with no outage before"
-            lines.append(f"  at {at:.2f} s of the link{reason} ({row['cell']})")
-    lines += [
-        f"{CONTROLLERS.label(row['controller'])}, {row['cell']}: {row['error']}"
-        for row in rows
-        if row["error"] is not None
-    ]
-    return lines
+        for row in sorted(played, key=lambda row: row["start"]):
+            if row["fell"]:
+                at = f"{_fell_at(row, profile):.2f} s"
+                place = [CONTROLLERS.label(controller), at, row["cell"]]
+                lines.append([*place, _milliseconds(row[_MET]), row[_REASON]])
+    return ["", *aligned(lines)] if len(lines) > 1 else []
 
 
 def draw(rows: Sequence[Row], profile: DelayProfile, path: Path) -> None:
@@ -265,8 +274,11 @@ def _by_controller(rows: Sequence[Row]) -> dict[str, list[Row]]:
     return found
 
 
-def _met(row: Row, found: Sequence[LinkOutage]) -> float:
-    """The duration of the longest outage that began within a trial [s]."""
-    start = row["start"]
-    end = start + row["task_seconds"]
-    return max((each.duration for each in found if start <= each.start < end), default=0.0)
+def _fell_at(row: Row, profile: DelayProfile) -> float:
+    """The place on the link at which a trial fell [s]."""
+    seconds: float = (row["start"] + row["task_seconds"]) % (profile.duration_ns * 1e-9)
+    return seconds
+
+
+def _milliseconds(met: float) -> str:
+    return f"{met:.0f} ms" if met else "none"

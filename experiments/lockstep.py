@@ -22,6 +22,7 @@ from netem.delay_line import DelayLine, Due, make_lines
 from netem.networks import load_network
 from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
+from netem.profile import Profile, begin_ns
 from netem.shim import record_message
 from robot_node.controllers import MakeController, make_controller
 from robot_node.node import RobotNode
@@ -32,13 +33,11 @@ from shared.clock import SimClock
 from shared.config.settings import RunConfig
 from shared.errors import LinkError
 from shared.motion.plan import MakeMotion, make_motion
-from shared.output.report import (
-    discrepancy_report,
-    edge_report,
-    link_report,
-    robot_report,
-    summary,
-)
+from shared.output.fall import torque_limits
+from shared.output.link_met import link_met
+from shared.output.no_start import why_not_begun
+from shared.output.report import discrepancy_report, edge_report, link_report, merge, robot_report
+from shared.output.summary import summary
 from shared.robots import load_robot
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema
@@ -92,7 +91,8 @@ class Lockstep:
         self._numbers = itertools.count()
         self._edge_busy = False
         self._edge_inbox, self._robot_inbox = Inbox(), Inbox()
-        self._profile_name = "direct"
+        self._torque_limits = torque_limits(robot, clamp=config.robot.torque_clamp)
+        self._profile: Profile | None = None
         self._lines: list[DelayLine[Delivery]] = []
         self._connect(robot.name)
 
@@ -110,11 +110,7 @@ class Lockstep:
             self.clock.time_ns, _, _, action = heapq.heappop(self._events)
             action()
             if not self.robot.running and self.clock.time_ns > waiting_limit_ns:
-                raise LinkError(
-                    f"expected an answer within {self.config.loop.connect_timeout:g} s of "
-                    f"simulated time, got none over network {self.config.link.network!r}; refused "
-                    f"messages: {dict(self.robot.cache.refused) or 'none'}; try another --network"
-                )
+                raise LinkError(self._why_not_begun())
         return self._result(wall_seconds=time.perf_counter() - started)
 
     def _connect(self, robot: str) -> None:
@@ -125,7 +121,7 @@ class Lockstep:
             far = near
         else:
             profile = load_network(config.link.network)
-            self._profile_name = profile.name
+            self._profile = profile
             self._lines = make_lines(profile, config.link, seed=config.seed, start_ns=0)
             near.subscribe(up_key, self._shim(UP, far.publisher(up_key).forward))
             far.subscribe(down_key, self._shim(DOWN, near.publisher(down_key).forward))
@@ -196,12 +192,31 @@ class Lockstep:
         self._tick.end(self.clock.now_ns(), self._robot_inbox.take())
 
     def _result(self, *, wall_seconds: float) -> TrialResult:
+        robot, edge, link = self._reports(wall_seconds=wall_seconds)
+        rows, link_rows, solve_rows = self.ticks.rows(), self.link.rows(), self.solves.rows()
+        steady = self.robot.controller.every_state_answered
+        return TrialResult(
+            summary=summary(
+                self.config,
+                robot=robot,
+                edge=edge,
+                link=link,
+                discrepancy=self._discrepancy(rows, solve_rows),
+                met=link_met(self.robot.schema, rows, link_rows, solve_rows, steady=steady),
+            ),
+            schema=self.robot.schema,
+            rows=rows,
+            link_rows=link_rows,
+            solve_rows=solve_rows,
+        )
+
+    def _reports(self, *, wall_seconds: float) -> tuple[dict[str, Any], ...]:
+        """The reports of robot, edge and link, as a live run's processes write them."""
         for log in (self.ticks, self.link, self.solves):
             log.close()
-        rows, link_rows, solve_rows = self.ticks.rows(), self.link.rows(), self.solves.rows()
         robot = robot_report(
             self.robot.schema,
-            rows,
+            self.ticks.rows(),
             fell=self.robot.fallen,
             wall_seconds=wall_seconds,
             sent=self._uplink.sent,
@@ -210,26 +225,34 @@ class Lockstep:
             refused=dict(self.robot.cache.refused),
             answers=self.robot.answers.by_sender,
             sensor_faults=dict(self.robot.sensor_guard.faults),
+            torque_limits=self._torque_limits,
         )
         edge = edge_report(
-            solve_rows,
+            self.solves.rows(),
             statuses=dict(self.edge.solved),
             sent=self._downlink.sent,
             received=self._edge_inbox.counter.received,
             lost=self._edge_inbox.counter.lost,
             refused=dict(self.edge.refused),
         )
-        passes = max((line.passes(self.clock.now_ns()) for line in self._lines), default=0)
-        link = link_report(link_rows, profile=self._profile_name, passes=passes)
-        discrepancy = self._discrepancy(rows, solve_rows)
-        return TrialResult(
-            summary=summary(
-                self.config, robot=robot, edge=edge, link=link, discrepancy=discrepancy
-            ),
-            schema=self.robot.schema,
-            rows=rows,
-            link_rows=link_rows,
-            solve_rows=solve_rows,
+        profile, config = self._profile, self.config
+        link = link_report(
+            self.link.rows(),
+            profile="direct" if profile is None else profile.name,
+            passes=max((line.passes(self.clock.now_ns()) for line in self._lines), default=0),
+            profile_seconds=None if profile is None else profile.duration_ns * 1e-9,
+            begins_s=None
+            if profile is None
+            else begin_ns(profile, config.link, seed=config.seed) * 1e-9,
+        )
+        return robot, edge, link
+
+    def _why_not_begun(self) -> str:
+        robot, edge, link = self._reports(wall_seconds=0.0)
+        parts = merge({"network": self.config.link.network}, robot, edge, link)
+        return (
+            f"the task did not begin within {self.config.loop.connect_timeout:g} s of simulated "
+            f"time over {self.config.link.network}: {why_not_begun(parts, self.config)}"
         )
 
     def _discrepancy(self, rows: np.ndarray, solve_rows: np.ndarray) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from experiments.lockstep import Lockstep, TrialResult
 from shared.config.config_file import dump_config
 from shared.config.settings import RunConfig
 from shared.errors import writing
-from shared.output.report import summary_in_words
+from shared.output.summary import summary_in_words
 from shared.output.versions import versions
 from shared.process.cli import EXIT_FELL, EXIT_STANDING, add_run_arguments, config_from
 from shared.telemetry.parquet import write_parquet

@@ -20,7 +20,9 @@ from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
 from shared.errors import LinkError
 from shared.motion.plan import make_motion
+from shared.output.fall import fall_in_words, torque_limits
 from shared.output.report import robot_report
+from shared.output.sources import commands_in_words
 from shared.process.cli import (
     EXIT_FELL,
     EXIT_STANDING,
@@ -114,14 +116,19 @@ def main() -> int:
             refused=dict(node.cache.refused),
             answers=node.answers.by_sender,
             sensor_faults=dict(node.sensor_guard.faults),
+            torque_limits=torque_limits(robot, clamp=config.robot.torque_clamp),
         )
 
     report = log.finish(make_report)
     if failure is None:
-        outcome = "fell" if node.fallen else "stands"
+        outcome = f"stands after {report['task_seconds']:.2f} s"
+        if report["fall"] is not None:
+            reason = fall_in_words(report["fall"], controller=config.controller)
+            outcome = f"fell after {report['task_seconds']:.2f} s: {reason}"
+        commands = commands_in_words(report["commands"], config.controller)
         print(
-            f"{outcome} after {report['task_seconds']:.2f} s: commands {report['commands']}, CoM "
-            f"error {100 * (report['com_error_m'] or 0):.2f} cm, overruns {report['overruns']}",
+            f"{outcome}; commands: {commands}; CoM error "
+            f"{100 * (report['com_error_m'] or 0):.2f} cm, {report['overruns']} overruns",
             flush=True,
         )
     # Last, because a neighbour that is cut off makes it wait.

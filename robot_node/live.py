@@ -17,6 +17,7 @@ from shared.bus.base import Delivery, Inbox, Publisher
 from shared.clock import MonotonicClock, Ticker, sleep_until
 from shared.config.settings import LoopConfig
 from shared.errors import LinkError
+from shared.output.no_start import refused_in_words, too_old
 from shared.process.realtime import RealtimeBudget
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import Source
@@ -146,15 +147,15 @@ class LiveLoop:
     def _check_timeout(self, waited_ns: int) -> None:
         if waited_ns <= self._config.connect_timeout * 1e9:
             return
-        refused = self.refused
-        reason = (
-            f"{self._inbox.counter.received} messages came, refused: {refused}; start both ends "
-            "from the same version and the same --config"
-            if refused
-            else self._explain()
-        )
+        youngest_ns = self._node.youngest_answer_ns
+        if youngest_ns is not None:
+            reason = too_old(self._config, youngest_ns * 1e-6)
+        elif refused := refused_in_words(self.refused):
+            reason = f"the robot refused {refused}"
+        else:
+            reason = self._explain()
         raise LinkError(
-            f"no projector from the edge within {self._config.connect_timeout:g} s: {reason}"
+            f"no usable answer from the edge within {self._config.connect_timeout:g} s: {reason}"
         )
 
 

@@ -56,6 +56,8 @@ class RobotNode:
         self.fallen = False
         self.time_ns = 0
         self.tick = 0
+        # The least age of an answer that was too old for its command.
+        self.youngest_answer_ns: int | None = None
         self._config = config
         self._motion = motion
         self._plant = self._make_plant(robot)
@@ -153,6 +155,10 @@ class RobotNode:
         age_ns = now_ns - decision.stamp_ns
         expired = age_ns > self._hold_after_ns
         if self.controller.answers_expire and (expired or self._lands):
+            if expired:
+                youngest_ns = self.youngest_answer_ns
+                youngest_ns = age_ns if youngest_ns is None else min(age_ns, youngest_ns)
+                self.youngest_answer_ns = youngest_ns
             # A hold on one foot lasts until the other one is down.
             held = self._held(age_ns=age_ns)
             self._lands = self._hold.sets_foot_down

@@ -100,7 +100,7 @@ def _ended(stack: StackFolder, state: StackState) -> StackState:
     # Imported here: only the end of a run needs them.
     from deploy.outcome import is_running, summarise
     from shared.config.config_file import load_config
-    from shared.output.report import summary_in_words
+    from shared.output.summary import summary_in_words
 
     if is_running(stack.run):
         return state

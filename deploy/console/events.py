@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.output.report import DIRECTIONS
+from shared.output.fall import force_in_words
+from shared.output.link_met import DIRECTIONS
 from shared.telemetry.outages import OUTAGE, Change, LinkLane
 from shared.telemetry.schema import Schema
 
@@ -21,7 +22,6 @@ from shared.telemetry.schema import Schema
 TOLD_NS = 150_000_000
 _SAID_NS = 500_000_000
 _UP = 0
-_AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Events:
         pushed = np.any(forces != 0.0, axis=1)
         before = np.concatenate([[self._pushed], pushed[:-1]])
         for row in np.flatnonzero(pushed & ~before):
-            push = f"{_force_in_words(forces[row])} at {times_ns[row] * 1e-9:.2f} s"
+            push = f"{force_in_words(forces[row])} at {times_ns[row] * 1e-9:.2f} s"
             self.pushes.append(push)
             self._new.append(Event("robot", f"pushed with {push}"))
         self._pushed = bool(pushed[-1])
@@ -127,11 +127,3 @@ class Events:
     def _time(self, wall_ns: int) -> str:
         assert self._offset_ns is not None
         return f"{(wall_ns + self._offset_ns) * 1e-9:.2f} s"
-
-
-def _force_in_words(force: np.ndarray) -> str:
-    """Return text for a force [N] in the world: along an axis, or by its components."""
-    axis = int(np.argmax(np.abs(force)))
-    if np.count_nonzero(force) > 1:
-        return f"({', '.join(f'{part:.0f}' for part in force)}) N"
-    return f"{abs(force[axis]):.0f} N to {'-' if force[axis] < 0 else '+'}{_AXES[axis]}"

@@ -28,7 +28,7 @@ from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
 from shared.config.settings import RunConfig
 from shared.errors import LinkError, writing
-from shared.output.report import summary_in_words
+from shared.output.summary import summary_in_words
 from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
 from shared.process.service import StopSignal
 from shared.robots import load_robot

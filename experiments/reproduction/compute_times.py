@@ -26,7 +26,7 @@ from experiments.reproduction.timed_walk import (
 )
 from netem.profile import DOWNLINK, UPLINK
 from shared.config.config_file import load_config
-from shared.output.report import DIRECTIONS
+from shared.output.link_met import DIRECTIONS
 from shared.output.versions import cpu_name, versions
 
 NETWORK = "building/001"

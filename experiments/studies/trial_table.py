@@ -97,9 +97,9 @@ def table_in_words(rows: Sequence[dict[str, Any]], settings: Sequence[str]) -> s
 
 
 def errors_in_words(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """A line on the trials that ended with an error; [] without such trials."""
+    """A line on the trials that are not counted, by error or as no result; [] without any."""
     errors = [row["error"] for row in rows if row["error"] is not None]
-    return [f"trials ended with an error: {len(errors)}; the first: {errors[0]}"] if errors else []
+    return [f"trials without a result: {len(errors)}; the first: {errors[0]}"] if errors else []
 
 
 def _number(value: float) -> str:

@@ -82,13 +82,18 @@ def players(workers: int, scheduler: str | None = None) -> Iterator[Players]:
 
 
 def play(config: RunConfig, all_active_sets: bool) -> Record:
-    """Play one trial. Return its summary, or the error that ended it."""
+    """Play one trial. Return its summary, or the error that ended it.
+
+    A trial that is no result about the link has both, so that no study counts it.
+    """
     started = time.perf_counter()
     summary: dict[str, Any] | None = None
     error = None
     try:
         result = Lockstep(config, all_active_sets=all_active_sets).run()
         summary = {key: value for key, value in result.summary.items() if key != "versions"}
+        if not summary["valid"]:
+            error = f"no result about the link: {'; '.join(summary['invalid_reasons'])}"
     except Exception as exception:
         at = traceback.extract_tb(exception.__traceback__)[-1]
         text = " ".join(str(exception).split())

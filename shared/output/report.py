@@ -1,14 +1,14 @@
-"""The report of a run: a part of each process, from its rows, and the summary of all parts."""
+"""The report of a run: the part of each process, from its rows. `summary` joins the parts."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from shared.config.extensions import CONTROLLERS, TASKS, corrects
-from shared.config.settings import RunConfig
-from shared.output.versions import versions
+from shared.output.fall import fall_report
+from shared.output.link_met import DIRECTIONS
 from shared.telemetry.metrics import (
     active_set_discrepancy,
     by_cardinality,
@@ -23,7 +23,6 @@ from shared.telemetry.metrics import (
 )
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, Source
 
-DIRECTIONS = ("uplink", "downlink")
 _ERRORS = ("com_error_m", "contact_violation_m_s2")
 
 
@@ -39,6 +38,7 @@ def robot_report(
     refused: dict[str, int] | None,
     answers: dict[str, dict[str, int]] | None,
     sensor_faults: dict[str, int] | None,
+    torque_limits: Mapping[str, float],
 ) -> dict[str, Any]:
     """Return the robot's part, from its tick rows; rows before the task began are left out.
 
@@ -46,21 +46,27 @@ def robot_report(
 
     The robot has `sent` a state in every tick, but the file of a long run has rows of its first
     ticks only. `task_seconds` counts all ticks, `measured_seconds` those with a row. All other
-    figures come from the rows.
+    figures come from the rows. `torque_limits` are those of the joints [N m], by name.
+    `answers_used` is the number of states of the task whose answers were used.
+    `youngest_answer_ms` is the age of the youngest answer at its use, also before the task; None
+    without an answer.
     """
     unmeasured = max(0, sent - len(rows))
+    ages_ns = schema.column(rows, "projector_age_ns")
+    youngest_ns = ages_ns[ages_ns >= 0].min(initial=np.inf)
     rows = in_task(schema, rows)
 
     def column(name: str) -> np.ndarray:
         return schema.column(rows, name)
 
-    source = column("source")
+    source, used = column("source"), column("projector_sequence")
     age_ms = column("projector_age_ns") * 1e-6
     violation = column("contact_violation_m_s2")
     waits = switch_to_fresh_ms(schema, rows)
     seconds = (len(rows) + unmeasured) * 1e-3
     return {
         "fell": fell,
+        "fall": fall_report(schema, rows, torque_limits=torque_limits) if fell else None,
         "task_seconds": round(seconds, 3),
         "measured_seconds": round(len(rows) * 1e-3, 3),
         "com_error_m": mean(column("com_error_m")),
@@ -70,6 +76,8 @@ def robot_report(
         "on_board_qps": int(column("on_board_qps")[-1]) if len(rows) else 0,
         "commands": {each.label: int(np.sum(source == each)) for each in Source},
         "projector_age_ms": quantiles(age_ms[age_ms >= 0]),
+        "youngest_answer_ms": round(youngest_ns * 1e-6, 4) if np.isfinite(youngest_ns) else None,
+        "answers_used": len(np.unique(used[used >= column("tick")[0]])) if len(rows) else 0,
         "robot_tick_ms": quantiles(column("tick_ns") * 1e-6),
         "tick_lateness_ms": quantiles(column("late_ns") * 1e-6),
         "overruns": int(column("overruns")[-1]) if len(rows) else 0,
@@ -108,9 +116,26 @@ def edge_report(
     }
 
 
-def link_report(rows: np.ndarray, *, profile: str, passes: int) -> dict[str, Any]:
-    """Return the shim's part, from its message rows: nominal delay, and achieved minus nominal."""
-    report: dict[str, Any] = {"profile": profile, "profile_passes": passes, "link": {}}
+def link_report(
+    rows: np.ndarray,
+    *,
+    profile: str,
+    passes: int,
+    profile_seconds: float | None = None,
+    begins_s: float | None = None,
+) -> dict[str, Any]:
+    """Return the shim's part, from its message rows: nominal delay, and achieved minus nominal.
+
+    `profile_seconds` is the length of the profile, and `begins_s` the place in it [s] at which the
+    first message was sent. Both are None for a link without a profile.
+    """
+    report: dict[str, Any] = {
+        "profile": profile,
+        "profile_passes": passes,
+        "profile_seconds": profile_seconds,
+        "profile_begins_s": begins_s,
+        "link": {},
+    }
     directions = LINK_SCHEMA.column(rows, "direction")
     for k, name in enumerate(DIRECTIONS):
         way = rows[directions == k]
@@ -138,10 +163,11 @@ def discrepancy_report(schema: Schema, rows: np.ndarray, solve_rows: np.ndarray)
     """
     rows = in_task(schema, rows)
     cardinality = active_set_discrepancy(schema, rows, true_active_sets(schema, rows, solve_rows))
-    return _discrepancy(cardinality, *(schema.column(rows, name) for name in _ERRORS))
+    return discrepancy_of(cardinality, *(schema.column(rows, name) for name in _ERRORS))
 
 
-def _discrepancy(cardinality: np.ndarray, *errors: np.ndarray) -> dict[str, Any]:
+def discrepancy_of(cardinality: np.ndarray, *errors: np.ndarray) -> dict[str, Any]:
+    """Return the report of cardinalities (n,), with the two errors of the same ticks."""
     return {
         "mean": mean(cardinality),
         **quantiles(cardinality),
@@ -163,111 +189,3 @@ def merge(*parts: dict[str, Any] | None) -> dict[str, Any]:
             else:
                 merged[key] = value
     return merged
-
-
-def summary(
-    config: RunConfig,
-    *,
-    robot: dict[str, Any],
-    edge: dict[str, Any] | None,
-    link: dict[str, Any] | None,
-    discrepancy: dict[str, Any] | None,
-) -> dict[str, Any]:
-    """Return the summary of a run. It has every key, even if a part is missing."""
-    unknown = {"sent": None, "received": None, "lost": None, "refused": None}
-    skeleton = {
-        "task": config.task,
-        "controller": config.controller,
-        "network": config.link.network,
-        "seed": config.seed,
-        "edge_solve_ms": quantiles(np.empty(0)),
-        "active_set_discrepancy": discrepancy or _discrepancy(*[np.empty(0)] * 3),
-        "link": {
-            name: {**unknown, "bytes_per_second": None, "delay_error_ms": quantiles(np.empty(0))}
-            for name in DIRECTIONS
-        },
-    }
-    return {**merge(skeleton, robot, edge, link), "versions": versions()}
-
-
-def summary_in_words(summary: dict[str, Any]) -> str:
-    """Return the summary as text for a person."""
-    age, tick, solve = (
-        summary[key] for key in ("projector_age_ms", "robot_tick_ms", "edge_solve_ms")
-    )
-    task = TASKS.label(summary["task"])
-    controller = CONTROLLERS.label(summary["controller"])
-    ended = {True: "FELL", False: "Stands", None: "Killed"}[summary["fell"]]
-    lines = [
-        f"{ended} after {summary['task_seconds']:.2f} s of "
-        f"{task} with {controller} over {summary['network']}",
-        "  CoM error and contact violation have no meaning after a fall"
-        if summary["fell"]
-        else f"  CoM error {_number(summary['com_error_m'], 'cm', 100)}, contact violation "
-        f"{_number(summary['contact_violation_m_s2'], 'm/s²', digits=3)}",
-        "  commands "
-        + ", ".join(f"{count} {name}" for name, count in summary["commands"].items())
-        + f"; projector age p50 {_number(age['p50'], 'ms')}, p99 {_number(age['p99'], 'ms')}, "
-        f"max {_number(age['max'], 'ms')}",
-    ]
-    if summary["measured_seconds"] < summary["task_seconds"]:
-        lines.insert(1, f"  figures cover its first {summary['measured_seconds']:.2f} s")
-    slip, wait = summary["foot_slip_mm"], summary["switch_to_fresh_ms"]
-    discrepancy = summary["active_set_discrepancy"]
-    differs = (
-        []
-        if discrepancy["mean"] is None
-        else [
-            f"active set differs in {_number(discrepancy['mean'], 'rows')} on average, at most "
-            f"{_number(discrepancy['max'], 'rows', digits=0)}"
-        ]
-    )
-    slid = f"foot slip at most {_number(slip['max'], 'mm')} in a stance"
-    if facts := [*([] if summary["fell"] else [slid]), *differs]:
-        lines.append(f"  {'; '.join(facts)}")
-    if summary["task"] == "walk":
-        # A controller that corrects needs no fresh projector at a contact switch.
-        waited = (
-            ""
-            if corrects(summary["controller"])
-            else f"contact switch to first fresh projector p50 {_number(wait['p50'], 'ms')}, max "
-            f"{_number(wait['max'], 'ms')}, not in time {wait['never']} ×; "
-        )
-        lines.append(f"  {waited}{summary['on_board_qps']} QPs solved on board")
-    for name, way in summary["link"].items():
-        refused = sum((way["refused"] or {}).values())
-        error = way["delay_error_ms"]
-        lines.append(
-            f"  {name}: {_known(way['sent'])} sent, {_known(way['received'])} received, "
-            f"{_known(way['lost'])} lost, "
-            f"{refused} refused{_rate(way['bytes_per_second'])}; delay error p50 "
-            f"{_number(error['p50'], 'ms')}, p99 {_number(error['p99'], 'ms')}"
-        )
-    answers = summary["link"]["downlink"].get("answers") or {}
-    if len(answers) > 1:
-        by_edge = ", ".join(
-            f"{counts['taken']} of {edge} ({counts['refused']} refused)"
-            for edge, counts in answers.items()
-        )
-        lines.append(f"  answers from {len(answers)} edges: {by_edge}")
-    if faults := summary.get("sensor_faults"):
-        held = ", ".join(f"{sensor} {count} ×" for sensor, count in faults.items())
-        lines.append(f"  sensor faults held over: {held}")
-    lines += [
-        f"  robot tick p50 {_number(tick['p50'], 'ms')}, p99 {_number(tick['p99'], 'ms')}; "
-        f"edge solve p50 {_number(solve['p50'], 'ms')}, p99 {_number(solve['p99'], 'ms')}",
-        f"  overruns {summary['overruns']}; {_known(summary['realtime_factor'])} × real time",
-    ]
-    return "\n".join(lines)
-
-
-def _known(value: float | None) -> str:
-    return "-" if value is None else str(value)
-
-
-def _rate(bytes_per_second: float | None) -> str:
-    return "" if bytes_per_second is None else f", {bytes_per_second / 1e6:.3f} MB/s"
-
-
-def _number(value: float | None, unit: str, scale: float = 1.0, *, digits: int = 2) -> str:
-    return "-" if value is None else f"{value * scale:.{digits}f} {unit}"

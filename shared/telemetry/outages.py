@@ -3,7 +3,7 @@
 Without a queue, a message would need the least delay seen so far. From then until it arrives, and
 after the arrival before it, no message comes out of the link:
 
-    outage = [max(arrival before, sent + least delay), arrival]    if longer than `OUTAGE_NS`
+    outage = [max(arrival before, sent + least delay), arrival]    if longer than a limit
 
 A constant delay of any length is no outage, and neither is a sender's pause. If a sender is
 `steady`, a lost message should have come out too. Then `sent` is the time of the first message sent
@@ -22,11 +22,15 @@ Change = tuple[int, str]
 
 
 class LinkLane:
-    """The states of one direction, as changes (instant [ns], state). Instants are not in order."""
+    """The states of one direction, as changes (instant [ns], state). Instants are not in order.
 
-    def __init__(self, *, steady: bool = False) -> None:
+    An outage lasts longer than `longer_than_ns`.
+    """
+
+    def __init__(self, *, steady: bool = False, longer_than_ns: int = OUTAGE_NS) -> None:
         self.last_arrival_ns: int | None = None
         self._steady = steady
+        self._longer_than_ns = longer_than_ns
         self._least_ns = np.iinfo(np.int64).max
         # When the first message that was lost since the last arrival was sent.
         self._lost_ns: int | None = None
@@ -51,7 +55,7 @@ class LinkLane:
         if self._silent == OUTAGE:
             # `silent` has returned this outage already.
             begin_ns[0] = arrival_ns[0]
-        for k in np.flatnonzero(arrival_ns - begin_ns > OUTAGE_NS):
+        for k in np.flatnonzero(arrival_ns - begin_ns > self._longer_than_ns):
             changes += [(int(begin_ns[k]), OUTAGE), (int(arrival_ns[k]), PASSING)]
         self.last_arrival_ns = int(arrival_ns[-1])
         self._least_ns = int(least_ns[-1])

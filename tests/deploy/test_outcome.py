@@ -7,7 +7,8 @@ import numpy as np
 
 from deploy.outcome import set_aside, summarise
 from shared.config.settings import RunConfig
-from shared.output.report import edge_report, robot_report, summary_in_words
+from shared.output.report import edge_report, robot_report
+from shared.output.summary import summary_in_words
 from shared.telemetry.lives import begin_life
 from shared.telemetry.parquet import read_parquet, write_parquet
 from shared.telemetry.row_log import RowLog
@@ -34,13 +35,14 @@ def robot_life(run: Path) -> None:
         TICKS,
         rows,
         fell=False,
-        wall_seconds=1.0,
+        wall_seconds=0.01,
         sent=10,
         received=8,
         lost=0,
         refused={},
         answers={},
         sensor_faults={},
+        torque_limits={},
     )
     (run / "telemetry.json").write_text(json.dumps(report))
 

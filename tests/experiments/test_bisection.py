@@ -124,7 +124,7 @@ def test_without_all_its_trials_a_bisection_has_no_limit(study_of):
     assert found[0] == Limit({"controller": "la"}, 0, None, None)
     # It ends there: at 100 it fell, at 50 was the error.
     assert len([row for row in rows if row["controller"] == "la" and row["seed"] == 0]) == 2
-    errors = "trials ended with an error: 1; the first: E: x"
+    errors = "trials without a result: 1; the first: E: x"
     assert errors in limits_in_words(study, found, rows)
     assert all(limit.standing == 50 for limit in found[1:])
     unfinished = [row for row in rows if row["link.network"] != "constant:56ms"]

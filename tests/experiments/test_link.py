@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from experiments.link import (
     LinkOutage,
     add_link_arguments,
     apart,
+    falls,
     link_outages,
     run_link,
     study_of,
@@ -47,6 +49,8 @@ def row(controller: str, start: float, *, fell: bool, seconds: float = 5.0) -> d
         "fell": fell,
         "task_seconds": seconds,
         "projector_age_ms.max": 12.0,
+        "worst_outage.ms": 400.0 if start == 5.0 else 0.0,
+        "fall_reason": "pushed" if fell else None,
         "error": None,
     }
 
@@ -82,22 +86,25 @@ def test_outages_that_overlap_a_longer_one_are_left_out() -> None:
     assert apart([long, beside, later]) == [long, later]
 
 
-def test_the_verdict_says_where_on_the_link_each_controller_falls() -> None:
+def test_the_verdict_says_where_on_the_link_each_controller_falls_and_why() -> None:
     link = profile(dead=(7.0, 7.4))
     rows = [
         row("pr", 0.0, fell=False),
         row("pr", 5.0, fell=True, seconds=2.6),
         row("lc", 0.0, fell=False),
         row("lc", 5.0, fell=False),
+        {**row("lc", 7.0, fell=False), "error": "no result about the link: it never began"},
     ]
-    found = link_outages(link)
-    assert verdicts(rows, link, found) == [
-        "PR falls in 1 of 2 windows:",
-        "  at 7.60 s of the link after an outage of 400 ms (from 5 s)",
+    assert verdicts(rows, link) == [
+        "PR falls in 1 of 2 windows, first at 7.60 s of the link.",
         "LC stands in all 2 windows.",
+        "LC, from 7 s: not counted: no result about the link: it never began",
     ]
-    lines = table(rows, found)
+    lines = table(rows)
     assert lines[1].split() == ["PR", "2", "1", "400", "ms", "12", "ms"]
+    fall = falls(rows, link)[-1]
+    assert re.split("  +", fall) == ["PR", "7.60 s", "from 5 s", "400 ms", "pushed"]
+    assert falls(rows[2:], link) == []
 
 
 @pytest.mark.parametrize(
@@ -124,6 +131,9 @@ def test_a_link_that_dies_fells_pr_and_not_lc(tmp_path, capsys) -> None:
     assert run_link(arguments) == 0
     shown = capsys.readouterr().out
     assert "PR falls in 1 of 1 windows" in shown
+    reason = r"push at 1.2 s.* ms +pushed with 100 N to \+y at 1.00 s; the torques in use were"
+    assert re.search(reason, shown), shown
+    assert "in an outage of the uplink from 1.00 s on" in shown
     assert "LC stands in all 1 windows" in shown
     assert (tmp_path / "out" / "link.png").stat().st_size > 10_000
     # Nothing is played a second time.

@@ -152,7 +152,7 @@ def test_a_trial_that_fails_is_a_row(tmp_path, study_of):
     assert (played["error"], played["fell"]) == (None, False)
     assert read_trials(tmp_path / "out").to_pylist() == [failed, played]
     text = table_in_words([failed, played], ["walk.step_length"])
-    assert "trials ended with an error: 1; the first: ConfigError: walk: " in text
+    assert "trials without a result: 1; the first: ConfigError: walk: " in text
 
 
 def test_a_column_that_no_summary_has_is_an_error_that_lists_them(again, study_of):

@@ -60,7 +60,7 @@ def test_settings_that_differ_are_named_at_both_ends(
         assert robot.wait() == 2
         if "refuses a robot's states" in edge.output:
             break
-    assert f"no projector from the edge within {seconds} s" in robot.output
+    assert f"no usable answer from the edge within {seconds} s" in robot.output
     assert endpoints[0] in robot.lines[-1]
     assert "task, robot, wbc and walk settings" in robot.lines[-1]
     assert "refuses a robot's states (config)" in edge.output

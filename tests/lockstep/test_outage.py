@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from experiments.lockstep import Lockstep
+from experiments.studies.trial_sequence import outcome_of
+from experiments.studies.workers import play as play_trial
 from netem.profile import LOST
 from shared.errors import LinkError, ProfileError
+from shared.output.summary import summary_in_words
 
 MS = 1_000_000
 ONE_WAY_MS = 5.0
@@ -208,3 +211,75 @@ def test_a_fall_ends_the_trial(play):
     assert result.summary["fell"]
     assert result.summary["task_seconds"] < 3.0
     assert len(result.rows) == round(result.summary["task_seconds"] * 1e3)
+
+
+def test_a_robot_whose_answers_are_all_too_old_names_their_age_and_the_remedy(configured):
+    config = configured(**{"link.network": "constant:600ms", "loop.connect_timeout": 0.7})
+    expected = r"at most 500 ms .*the youngest was 60\d ms old; try --controller lc"
+    with pytest.raises(LinkError, match=expected):
+        Lockstep(config).run()
+
+
+def test_a_link_that_passes_nothing_is_named(configured):
+    config = configured(**{"link.outage": ["cut@0s"], "loop.connect_timeout": 0.1})
+    with pytest.raises(LinkError, match="the uplink lost 101 of 101 states, and none arrived"):
+        Lockstep(config).run()
+
+
+def test_the_summary_tells_the_span_of_the_profile_and_the_worst_outage_met(play, trace):
+    delays = steady(4000)
+    delays[0, 500:1000] = LOST
+    network = trace(delays)
+    result = play(duration=2.0, push=[], **{"link.network": network, "loop.hold_after": FOR_EVER})
+    played, worst = result.summary["played"], result.summary["worst_outage"]
+    # The profile is rotated, so that the run begins at its first row. The task begins 10 ms later.
+    begins = result.summary["profile_begins_s"]
+    assert (played["seconds"], played["share"]) == (2.0, 0.5)
+    assert played["from_s"] == pytest.approx((begins + 0.010) % 4.0, abs=0.001)
+    assert (worst["direction"], worst["over"]) == ("uplink", True)
+    assert worst["ms"] == pytest.approx(500.0, abs=1.0)
+    assert worst["at_s"] == pytest.approx(0.505 - 0.010, abs=0.001)
+    assert worst["profile_at_s"] == pytest.approx((begins + 0.505) % 4.0, abs=0.001)
+    words = summary_in_words(result.summary).splitlines()
+    assert words[0].startswith("Stands after 2.00 s of balance with LA over ")
+    assert words[1].startswith("  played 2.00 s of the profile's 4 s, from ")
+    assert "worst outage met 500 ms (uplink, at 0." in words[1]
+    assert "cached (an older answer, applied to fresh feedback)" in words[3]
+
+
+def test_a_fall_has_its_reason(play, cut):
+    result = play(
+        duration=2.5, controller="pr", push=["100N@0.5s:0.2s:+y"], **{"link.network": cut}
+    )
+    reason = result.summary["fall_reason"]
+    assert reason.startswith("pushed with 100 N to +y at 0.50 s; the torques in use were ")
+    assert ", in an outage of the uplink from 0.50 s on that was not over" in reason
+    words = summary_in_words(result.summary).splitlines()
+    assert words[0].startswith("FELL after ")
+    assert words[1] == f"  reason: {reason}"
+
+
+def test_a_robot_that_has_only_held_its_joints_is_no_result_about_the_link(configured, trace):
+    """The first answer is in time, and no later one."""
+    delays = np.full((2, 4000), 2_000.0)
+    delays[:, :3] = 1.0
+    config = configured(duration=1.0, push=[], **{"link.network": trace(delays)})
+    result = Lockstep(config).run()
+    assert (result.summary["fell"], result.summary["valid"]) == (False, False)
+    words = summary_in_words(result.summary)
+    assert words.startswith("NO RESULT about the link: no answer was ever fresh enough: ")
+    # No study counts it.
+    record = play_trial(config, False)
+    assert record["error"].startswith("no result about the link: no answer was ever fresh enough")
+    assert outcome_of(record["error"], record["summary"]) == "error"
+
+
+def test_a_sound_trial_is_a_result(play):
+    summary = play(duration=0.05, **{"link.network": "constant:4ms"}).summary
+    assert (summary["valid"], summary["invalid_reasons"], summary["fall_reason"]) == (
+        True,
+        [],
+        None,
+    )
+    assert summary["worst_outage"]["ms"] == 0.0
+    assert "met no outage above 10 ms" in summary_in_words(summary)

@@ -1,0 +1,151 @@
+"""The reasons for which a run is not a result about the link.
+
+A run in real time depends on the machine too. If the machine adds delays that the link does not
+have, or slows simulated time down, then neither a fall nor a stand tells anything about the link.
+Overruns alone do not: a robot that catches up within milliseconds stands or falls as it would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from shared.config.extensions import corrects
+from shared.config.settings import RunConfig
+from shared.output.link_met import DIRECTIONS
+from shared.output.no_start import carried_in_words
+from shared.telemetry.metrics import in_task, quantiles
+from shared.telemetry.outages import OUTAGE_NS
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema
+
+# The least ratio of simulated time to real time. A delay of the link is shorter for a slower robot.
+# At 0.95 the error is below the resolution of the paper's tables. An idle machine reaches 1.00.
+REALTIME_FACTOR = 0.95
+# The largest share of ticks that overran. Two slow cores have 1 to 9 % with nothing else to do, and
+# the ages in use are then right within milliseconds. A busy machine without real-time priority has
+# 34 to 99 %: the ticks come in bunches, on the same answer.
+OVERRUNS = 0.2
+# The largest delay that edge or shim may add, median [ms]. PR stands a round trip of 30 ms and
+# falls at 40 ms: with 10 ms more, the verdict is about another link. Two slow cores have 2 to 5 ms.
+ADDED_MS = 10.0
+# The cores that robot, edge and shim of one stack take at 1 kHz.
+CORES_PER_STACK = 2
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The machine of a run in real time: its `cores`, and the largest number of other stacks.
+
+    `edge_ms` has quantiles of the time from the arrival of a state at the edge, by the profile,
+    until an answer to it or to a newer one leaves. `shim_ms` has those of the shim's lateness, for
+    each direction, without messages that waited in an outage. Both are empty if unknown.
+    """
+
+    cores: int
+    other_stacks: int = 0
+    edge_ms: Mapping[str, float | None] | None = None
+    shim_ms: Mapping[str, Mapping[str, float | None]] | None = None
+
+    def report(self) -> dict[str, Any]:
+        """Return the part of the summary."""
+        return {
+            "cores": self.cores,
+            "other_stacks": self.other_stacks,
+            "edge_ms": dict(self.edge_ms or quantiles(np.empty(0))),
+            "shim_ms": {
+                name: dict((self.shim_ms or {}).get(name, quantiles(np.empty(0))))
+                for name in DIRECTIONS
+            },
+        }
+
+
+def edge_ms(
+    schema: Schema, rows: np.ndarray, link_rows: np.ndarray | None, solve_rows: np.ndarray
+) -> dict[str, float | None]:
+    """Return quantiles of the edge's time from a state to an answer that is at least as new [ms].
+
+    Without rows of a shim, a state reaches the edge when it is measured.
+    """
+    if link_rows is None:
+        rows = in_task(schema, rows)
+        sequence, arrival_ns = schema.column(rows, "tick"), schema.column(rows, "wall_ns")
+    else:
+        passed = LINK_SCHEMA.column(link_rows, "achieved_ns") >= 0
+        up = link_rows[(LINK_SCHEMA.column(link_rows, "direction") == 0) & passed]
+        up = up[np.argsort(LINK_SCHEMA.column(up, "sequence"), kind="stable")]
+        sequence = LINK_SCHEMA.column(up, "sequence")
+        arrival_ns = LINK_SCHEMA.column(up, "wall_ns") + LINK_SCHEMA.column(up, "nominal_ns")
+    answered = np.maximum.accumulate(SOLVE_SCHEMA.column(solve_rows, "state_sequence"))
+    left_ns = SOLVE_SCHEMA.column(solve_rows, "wall_ns") + SOLVE_SCHEMA.column(
+        solve_rows, "solve_ns"
+    )
+    first = np.searchsorted(answered, sequence)
+    known = first < len(answered)
+    return quantiles((left_ns[first[known]] - arrival_ns[known]) * 1e-6)
+
+
+def shim_ms(link_rows: np.ndarray) -> dict[str, dict[str, float | None]]:
+    """Return quantiles of how late the shim released messages [ms], for each direction.
+
+    Messages that waited in an outage are left out: at its end hundreds are due at once.
+    """
+    late = {}
+    for direction, name in enumerate(DIRECTIONS):
+        way = link_rows[LINK_SCHEMA.column(link_rows, "direction") == direction]
+        nominal_ns = LINK_SCHEMA.column(way, "nominal_ns")
+        achieved_ns = LINK_SCHEMA.column(way, "achieved_ns")
+        passed = achieved_ns >= 0
+        least_ns = nominal_ns[passed].min(initial=np.inf)
+        soon = passed & (nominal_ns <= least_ns + OUTAGE_NS)
+        late[name] = quantiles((achieved_ns - nominal_ns)[soon] * 1e-6)
+    return late
+
+
+def invalid_reasons(
+    summary: Mapping[str, Any], config: RunConfig, machine: Machine | None
+) -> list[str]:
+    """Return why a run that has begun is not a result about the link; [] if it is one.
+
+    `machine` is None under simulated time, which does not depend on the machine.
+    """
+    reasons = [] if machine is None else _too_slow(summary, config, machine)
+    expires = not corrects(config.controller)
+    if expires and summary["answers_used"] == 0 and summary["commands"]["held"]:
+        reasons.append(
+            "no answer was ever fresh enough: those to the states of the task were older than "
+            f"{1e3 * config.loop.hold_after:g} ms (loop.hold_after){carried_in_words(summary)}; "
+            "the robot held its joints"
+        )
+    return reasons
+
+
+def _too_slow(summary: Mapping[str, Any], config: RunConfig, machine: Machine) -> list[str]:
+    slow = []
+    ticks = summary["measured_seconds"] * 1e3
+    factor = summary["realtime_factor"]
+    if factor is not None and factor < REALTIME_FACTOR:
+        slow.append(f"simulated time ran at {factor:.2f} × real time")
+    if ticks and (overran := summary["overruns"] / ticks) > OVERRUNS:
+        slow.append(f"{100 * overran:.0f} % of the ticks ended too late")
+    answers = not corrects(config.controller)
+    edge = (machine.edge_ms or {}).get("p50")
+    if answers and edge is not None and edge > ADDED_MS:
+        received = summary["link"]["uplink"]["received"]
+        share = summary["link"]["downlink"]["sent"] / received if received else 0.0
+        slow.append(
+            f"the edge answered {100 * share:.0f} % of the states, {edge:.0f} ms after they came "
+            "(median)"
+        )
+    for name, late in (machine.shim_ms or {}).items():
+        median = late["p50"]
+        if median is not None and median > ADDED_MS:
+            slow.append(f"the {name} was {median:.0f} ms longer than the profile (median)")
+    reasons = [f"the machine was too slow: {', '.join(slow)}"] if slow else []
+    others = machine.other_stacks
+    if others and machine.cores < CORES_PER_STACK * (1 + others):
+        beside = "a second stack" if others == 1 else f"{others} other stacks"
+        reasons.append(f"{beside} ran beside it on {machine.cores} cores")
+    return reasons
