@@ -70,11 +70,10 @@ def main() -> int:
         tell(status, terminal)
         time.sleep(_PERIOD_SECONDS)
     terminal.clear()
-    words = status.events.in_words()
-    if words:
-        print(words, flush=True)
     if arguments.out is not None:
         _sum_up(arguments.out, config)
+    if words := status.events.in_words():
+        print(words, flush=True)
     hub.close()
     return EXIT_STANDING
 

@@ -216,8 +216,11 @@ def test_a_fall_ends_the_trial(play):
 def test_a_robot_whose_answers_are_all_too_old_names_their_age_and_the_remedy(configured):
     config = configured(**{"link.network": "constant:600ms", "loop.connect_timeout": 0.7})
     expected = r"at most 500 ms .*the youngest was 60\d ms old; try --controller lc"
+    trial = Lockstep(config)
     with pytest.raises(LinkError, match=expected):
-        Lockstep(config).run()
+        trial.run()
+    # A live robot tells it from this age.
+    assert trial.robot.youngest_answer_ns == pytest.approx(600.5 * MS, abs=MS)
 
 
 def test_a_link_that_passes_nothing_is_named(configured):
