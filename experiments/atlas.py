@@ -211,7 +211,7 @@ def _axis(option: str, text: str, check: Callable[[str], str]) -> list[str]:
 
 
 def _controller(text: str) -> str:
-    CONTROLLERS.check("controllers", text)
+    CONTROLLERS.check(text)
     return text
 
 

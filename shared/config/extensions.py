@@ -49,12 +49,12 @@ class Extensions:
         """Return the project's names, then those of installed packages."""
         return [*self.own, *(name for name in _announced(self.group) if name not in self.own)]
 
-    def check(self, key: str, value: str) -> None:
+    def check(self, value: str) -> None:
         """Raise a `ConfigError` if `value` is neither a known name nor a reference."""
         if value not in self.own and not _is_reference(value) and value not in self.names():
             raise ConfigError(
-                f"{key}: {one_of(self.names(), value)}; for one of your own try module:Name or "
-                f"file.py:Name, see {self.page}"
+                f"{one_of(self.names(), value)}; for your own try module:Name or file.py:Name, see "
+                f"{self.page}"
             )
 
     def label(self, value: str) -> str:
@@ -67,7 +67,10 @@ class Extensions:
 
         Raise `ConfigError` if it cannot be imported.
         """
-        self.check(self.what, value)
+        try:
+            self.check(value)
+        except ConfigError as error:
+            raise ConfigError(f"{self.what}: {error}") from None
         announced = {} if value in self.own or _is_reference(value) else _announced(self.group)
         reference = self.own.get(value) or announced.get(value, value)
         where, _, name = reference.rpartition(":")

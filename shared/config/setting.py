@@ -66,7 +66,10 @@ class Setting:
     def check(self, key: str, value: Any) -> None:
         """Raise a `ConfigError` with the allowed values if `key` cannot have this one."""
         if isinstance(self.choices, Extensions):
-            self.choices.check(key, value)
+            try:
+                self.choices.check(value)
+            except ConfigError as error:
+                raise ConfigError(f"{key}: {error}") from None
         elif self.words and value not in self.words:
             raise ConfigError(f"{key}: {one_of(self.words, value)}")
         if self.kind in (int, float) and not self._holds(value):

@@ -95,7 +95,7 @@ def test_the_words_have_a_line_per_push_and_a_column_per_delay():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--controllers", "la,mpc"), "--controllers: expected some of la, lc, pr, got 'mpc'"),
+        (("--controllers", "la,mpc"), "--controllers: expected one of la, lc, pr, got 'mpc'"),
         (("--controllers", "la,la"), "--controllers: expected each value once, got 'la' twice"),
         (("--delays", "10ms,fast"), "--delays: expected a duration as in 30ms.*got 'fast'"),
         (("--delays", "50ms,0.05s"), "--delays: expected each value once, got '0.05s' twice"),
