@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize(("typed", "shown"), PLAYED, ids=[typed[:20] for typed, _ in PLAYED])
 def test_a_block_gives_what_the_page_says(folder, typed, shown):
-    code = int(found[1]) if (found := re.search(r"# exit code (\d)", typed)) else 0
+    code = int(found[1]) if (found := re.search(r"# .*exit code (\d)", typed)) else 0
     ran = subprocess.run(
         ["sh", "-c", typed], cwd=folder, capture_output=True, text=True, timeout=600, check=False
     )
