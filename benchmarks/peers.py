@@ -49,7 +49,7 @@ from shared.errors import LinkError, UserError
 from shared.motion.standing import Standing
 from shared.output.text_table import aligned
 from shared.process.entry import python
-from shared.robots import Robot, load_robot
+from shared.robots import Foot, Robot, load_robot
 from shared.telemetry.row_log import RowLog
 from shared.wbc.contacts import CORNER_MARGIN, ContactMode
 from shared.wbc.torque import recover_torque
@@ -280,6 +280,9 @@ class _Posed:
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         return self._states[self._step % len(self._states)]
 
+    def contact_forces(self) -> dict[Foot, np.ndarray]:
+        raise NotImplementedError("its states are given")
+
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
         self._step += 1
 
@@ -383,7 +386,7 @@ def _torques(
     """Distance of the peers' torques from those of the project's full QP. The problems are nearly
     the same.
     """
-    full = WholeBodyController(robot, config.wbc, Standing(robot))
+    full = WholeBodyController(robot, config, Standing(robot))
     mode = ContactMode.DOUBLE_SUPPORT
     ours = []
     for q, v in states:

@@ -63,7 +63,7 @@ class EdgeNode:
         self.refused_from: defaultdict[str, RefusalCounter] = defaultdict(RefusalCounter)
         self.sessions = Sessions(robot, config, motion)
         self.solved: Counter[str] = Counter()
-        self._controller = WholeBodyController(robot, config.wbc, motion)
+        self._controller = WholeBodyController(robot, config, motion)
         self._codec = Codec(robot, config, motion)
         self._motion = motion
         self._config = config
@@ -96,7 +96,13 @@ class EdgeNode:
 
     def solve(self, state: RobotState) -> tuple[WholeBodySolution, np.ndarray]:
         """Solve the full QP at a state. Return its solution and b. Count and encode nothing."""
-        return self._controller.solve(state.q, state.v, time_ns=state.time_ns, mode=state.mode)
+        return self._controller.solve(
+            state.q,
+            state.v,
+            time_ns=state.time_ns,
+            mode=state.mode,
+            com_command=state.com_command,
+        )
 
     def _project(self, robot: str, state: RobotState) -> Answer:
         """A projector for a robot that applies it; no data if the QP has no solution."""
@@ -159,7 +165,9 @@ class EdgeNode:
         if not config.prepare_on_edge:
             return ()
         prepared = [
-            self._controller.projector_for(state.q, state.v, time_ns=switch_ns)
+            self._controller.projector_for(
+                state.q, state.v, time_ns=switch_ns, com_command=state.com_command
+            )
             for switch_ns in coming_switches(self._motion, state.time_ns)
             if switch_ns - state.time_ns <= config.prepare_ns
         ]

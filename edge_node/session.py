@@ -11,8 +11,6 @@ from __future__ import annotations
 
 from collections import Counter
 
-import numpy as np
-
 from edge_node.limits import StateLimits
 from edge_node.posture import PostureEstimate
 from edge_node.refresh import FactorisationRefresh
@@ -22,6 +20,7 @@ from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.continuity import continues
 from shared.wbc.reference import Motion
+from shared.wbc.whole_body import ActiveSet
 from shared.wire.messages import RobotState
 
 # More than one-way delays vary by; that of the first states is not known yet.
@@ -50,7 +49,7 @@ class RobotSession:
         self.newest: RobotState | None = None
         self.posture = PostureEstimate(config.correction.average_ns)
         self.refresh = FactorisationRefresh(config.correction, motion)
-        self.last_active: dict[ContactMode, np.ndarray] = {}
+        self.last_active: dict[ContactMode, ActiveSet] = {}
         self.began_ns = self.heard_ns = now_ns
         self.n_states = 0
         # The number of the turn in which it was served last.

@@ -1,6 +1,7 @@
 """A figure of a study: the part of trials that stood, or a column's mean, over one of its settings.
 
-`./wbc figure DIR --x correction.posture_error --by cell --panels task --out FILE`.
+`./wbc figure DIR --x correction.posture_error --by cell --panels task --out FILE`. With `--polar` a
+study of pushes is drawn as it looks from above: each push at its force, in its direction.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from experiments.studies.study import value_in_words
 from experiments.studies.trial_table import errors_in_words, read_trials, wilson_interval
+from shared.config.quantities import parse_push
 from shared.errors import ConfigError, one_of
 from shared.output.figure import save_figure
 from shared.process.cli import EXIT_STANDING
@@ -40,6 +42,9 @@ def add_figure_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--by", metavar="SETTING", help="a line, or a row of the map, per value")
     parser.add_argument("--map", action="store_true", help="draw a map of squares instead of lines")
+    parser.add_argument(
+        "--polar", action="store_true", help="draw the pushes of --x push in their directions"
+    )
     parser.add_argument("--panels", metavar="SETTING", help="a panel per value")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
 
@@ -51,6 +56,12 @@ def run_figure(arguments: argparse.Namespace) -> int:
     for name in (arguments.x, arguments.by, arguments.panels, *columns):
         if name not in (None, STOOD) and name not in rows[0]:
             raise ConfigError(f"figure: {one_of(rows[0], name)}")
+    if arguments.polar:
+        if arguments.x != "push":
+            raise ConfigError(f"figure: expected --x push with --polar, got {arguments.x!r}")
+        draw_pushes(rows, panels=arguments.panels, out=arguments.out)
+        print(arguments.out)
+        return EXIT_STANDING
     draw_figure(
         rows,
         columns,
@@ -104,6 +115,47 @@ def draw_figure(
     if by and not as_map:
         axes[0, 0].legend(fontsize=8, title=by, title_fontsize=8)
     save_figure(figure, out, what="figure")
+
+
+def draw_pushes(rows: Sequence[Row], *, panels: str | None, out: Path) -> None:
+    """Draw the part of trials that stood each push, seen from above, x forward and y to the left.
+
+    Raise ConfigError if a trial has not one push in the plane, or `out` cannot be written.
+    """
+    by_panel = _groups(rows, panels)
+    figure, axes = plt.subplots(
+        1,
+        len(by_panel),
+        figsize=(4.6 * len(by_panel), 4.8),
+        squeeze=False,
+        subplot_kw={"projection": "polar"},
+    )
+    for axis, (panel, chosen) in zip(axes[0], by_panel.items(), strict=True):
+        for push, group in _groups(chosen, "push").items():
+            x, y = _push_in_the_plane(push)
+            value = _value(group, STOOD)
+            if value is None:
+                continue
+            at = (np.arctan2(y, x), np.hypot(x, y))
+            axis.scatter(*at, s=420, c=[value[0]], cmap=_PARTS[STOOD], vmin=0.0, vmax=1.0)
+            axis.annotate(value[2], at, ha="center", va="center", fontsize=7)
+        # Forward is up, left is left.
+        axis.set_theta_zero_location("N")
+        axis.set_thetagrids(range(0, 360, 45), ["+x", "", "+y", "", "−x", "", "−y", ""])
+        axis.set_rlabel_position(22.5)
+        axis.set_rmin(0.0)
+        axis.set_title(panel, fontsize=9)
+    figure.suptitle("trials that stood, by push [N]", fontsize=10)
+    save_figure(figure, out, what="figure")
+
+
+def _push_in_the_plane(text: str) -> tuple[float, float]:
+    """Force (x, y) of the only push of a trial [N]."""
+    pushes = text.split(",")
+    x, y, z = parse_push(pushes[0]).force
+    if len(pushes) != 1 or z != 0.0:
+        raise ConfigError(f"figure: expected one push in the plane with --polar, got {text!r}")
+    return x, y
 
 
 def _groups(rows: Sequence[Row], name: str | None) -> dict[str, list[Row]]:

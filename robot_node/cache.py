@@ -244,10 +244,7 @@ class FactorisationCache(AnswerCache):
     ) -> None:
         """Keep factorisations from a newer state. Raise `MessageRefused` if one cannot be used."""
         try:
-            correctors = [
-                Corrector(self._stacks[each.mode], each, level=self._level)
-                for each in factorisations
-            ]
+            correctors = [self._corrector(each) for each in factorisations]
         except np.linalg.LinAlgError:
             raise MessageRefused("not_definite", "P of the forces") from None
         for corrector in correctors:
@@ -255,6 +252,11 @@ class FactorisationCache(AnswerCache):
             held = self._entries.get(mode)
             if held is None or sequence > held.sequence:
                 self._entries[mode] = CorrectorEntry(corrector, sequence, stamp_ns, on_board)
+
+    def _corrector(self, factorisation: Factorisation) -> Corrector:
+        stack = self._stacks[factorisation.mode]
+        rows = None if stack.limits is None else self._verifier.limit_rows(factorisation)
+        return Corrector(stack, factorisation, level=self._level, limit_rows=rows)
 
     def lookup(self, mode: ContactMode) -> CorrectorEntry | None:
         """Return the newest factorisation of a mode, or None."""

@@ -7,6 +7,7 @@ corrected, `robot_node/corrected.py`) corrects its last solution by the answer's
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -19,7 +20,9 @@ from robot_node.onboard import OnBoard, OnBoardWindow, StartComputer, projector_
 from robot_node.verification import ProjectorVerifier
 from shared.config.extensions import CONTROLLERS, Taken
 from shared.config.settings import RunConfig
+from shared.robots import Foot
 from shared.telemetry.schema import Source
+from shared.wbc.balance import BalanceLaw
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference
@@ -69,7 +72,7 @@ class Controller(ABC):
     """Makes a command from the edge's answers and a fresh measurement.
 
     `cache` takes in the answers. `on_board` is the robot's own computer, if the controller needs
-    one.
+    one. `com_command` is what its balance law asks for in this tick, see `RobotState`.
 
     * `every_state_answered`: an answer to each state is expected, so that waiting d* for it may be
       worth it.
@@ -85,6 +88,7 @@ class Controller(ABC):
 
     cache: AnswerCache
     on_board: OnBoard | None = None
+    com_command: np.ndarray | None = None
 
     def should_stop(self) -> bool:
         """Return whether the robot should come to a stand while it can."""
@@ -115,6 +119,15 @@ class ControllerParts:
     start_computer: StartComputer
 
 
+def make_balance_law(parts: ControllerParts) -> BalanceLaw | None:
+    """Return the balance law that the configuration names, or None for the CoM task's own."""
+    config = parts.config
+    if config.wbc.balance.law == "com":
+        return None
+    robot, period = parts.model.robot, config.loop.period_ns * 1e-9
+    return BalanceLaw(robot, config.wbc.balance, period=period)
+
+
 # The members of a `Controller` that every subclass brings, with their arguments.
 _MEMBERS = {"cache": None, "observe": Taken(3), "command": Taken(keywords=("time_ns",))}
 
@@ -135,11 +148,22 @@ class PurelyRemote(Controller):
 
     def __init__(self, parts: ControllerParts) -> None:
         self.cache: ProjectorCache = ProjectorCache(parts.codec, session=parts.session)
+        self._balance = make_balance_law(parts)
+        self._model = parts.model
+        self._stacks = parts.stacks
+        self._wrenches: dict[Foot, np.ndarray] = {}
+
+    def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:
+        if self._balance is not None:
+            now = self._model.kinematics(q, v)
+            self.com_command = self._balance.com_command(now, reference, self._wrenches)
 
     def command(self, *, time_ns: int) -> Decision | None:
         entry = self.cache.newest_solution
         if entry is None or entry.tau is None or entry.y is None:
             return None
+        contacts = self._stacks[entry.projector.mode].contacts
+        self._wrenches = contacts.wrenches(entry.y[self._model.nv :])
         return _decision(entry, entry.tau, entry.y)
 
 
@@ -159,6 +183,8 @@ class LocallyAssisted(Controller):
         self._model = parts.model
         self._stacks = parts.stacks
         self._verifier = ProjectorVerifier(parts.model, parts.stacks, motion.reference(0))
+        self._balance = make_balance_law(parts)
+        self._wrenches: dict[Foot, np.ndarray] = {}
         self._stack: Stack
         self._q: np.ndarray
         self._v: np.ndarray
@@ -167,7 +193,11 @@ class LocallyAssisted(Controller):
     def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:
         self._q, self._v = q, v
         self._stack = self._stacks[reference.mode]
-        self._b = self._stack.right_hand_side(self._model.kinematics(q, v), reference)
+        now = self._model.kinematics(q, v)
+        if self._balance is not None:
+            self.com_command = self._balance.com_command(now, reference, self._wrenches)
+            reference = dataclasses.replace(reference, com_command=self.com_command)
+        self._b = self._stack.right_hand_side(now, reference)
 
     def command(self, *, time_ns: int) -> Decision | None:
         model, stack = self._model, self._stack
@@ -178,6 +208,7 @@ class LocallyAssisted(Controller):
             if entry.proven or self._verifier.is_plausible(force) or self._is_exact(entry):
                 # From now on it may grow stale, which is no fault of the edge.
                 entry.proven = True
+                self._wrenches = stack.contacts.wrenches(y[model.nv :])
                 return _decision(entry, tau, y)
             self.cache.reject(entry)
         return None

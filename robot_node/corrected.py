@@ -8,12 +8,13 @@ first one has left.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 
 from robot_node.cache import CorrectorEntry, FactorisationCache
-from robot_node.controllers import Controller, ControllerParts, Decision
+from robot_node.controllers import Controller, ControllerParts, Decision, make_balance_law
 from robot_node.onboard import OnBoardRefresh, factorisation_solve
 from robot_node.verification import FactorisationVerifier
 from shared.telemetry.schema import Source
@@ -31,6 +32,8 @@ _AVERAGE = 0.2
 # correction is too small to tell anything.
 _FORCE_SCALE = 0.1
 _NEGLIGIBLE = 1e-3
+# At most so many more corrections in a tick whose torques would be clamped.
+_TORQUE_STEPS = 2
 
 
 class Contraction:
@@ -83,6 +86,7 @@ class LocallyCorrected(Controller):
             )
         self._model = parts.model
         self._stacks = parts.stacks
+        self._balance = make_balance_law(parts)
         self._config = config
         self._contraction = Contraction()
         self._iterate = Iterate.zero(parts.stacks[ContactMode.DOUBLE_SUPPORT])
@@ -115,8 +119,14 @@ class LocallyCorrected(Controller):
         )
         if self._uncorrected:
             self._iterate, self._steps = Iterate.zero(stack), 1
-        self._stack, self._reference = stack, reference
-        self._linearise(q, v)
+        self._stack = stack
+        self._now = stack.kinematics_at(self._iterate.y, model=self._model, q=q, v=v)
+        if self._balance is not None:
+            wrenches = stack.contacts.wrenches(self._iterate.y[self._model.nv :])
+            self.com_command = self._balance.com_command(self._now, reference, wrenches)
+            reference = dataclasses.replace(reference, com_command=self.com_command)
+        self._reference = reference
+        self._residual = stack.right_hand_side(self._now, reference)
 
     def command(self, *, time_ns: int) -> Decision | None:
         entry = self.cache.lookup(self._stack.mode)
@@ -126,21 +136,12 @@ class LocallyCorrected(Controller):
         self._tick += 1
         probing = self._tick % _PROBE_TICKS == 0
         sizes = []
+        active_set: int | None = 0
         for step in range(self._steps + probing):
-            if step > 0:
-                self._linearise(q, v)
             before = self._iterate.y
-            corrected = entry.corrector.step(
-                self._iterate,
-                self._residual,
-                self._model,
-                self._now,
-                relaxation=self._config.relaxation,
-            )
-            if corrected is None:
-                self._iterate = Iterate.zero(self._stack)
+            active_set = self._correct(entry, q, v, again=step > 0)
+            if active_set is None:
                 return None
-            self._iterate, active_set = corrected
             if step == 0:
                 first = self._iterate
             if probing:
@@ -149,8 +150,16 @@ class LocallyCorrected(Controller):
             self._contraction.observe(*sizes[-2:])
             if self._uncorrected:  # the probe was a look ahead only
                 self._iterate = first
+        tau = self._torque(q, v)
+        for _ in range(_TORQUE_STEPS):
+            # D is stale: a large correction may overshoot a torque limit, the next one less.
+            if self._within_clamp(tau):
+                break
+            active_set = self._correct(entry, q, v, again=True)
+            tau = self._torque(q, v)
+        if active_set is None:
+            return None
         y = self._iterate.y
-        tau = recover_torque(self._model, self._stack.contacts, q, v, y)
         posture = entry.corrector.factorisation.posture
         return Decision(
             tau=tau,
@@ -163,6 +172,33 @@ class LocallyCorrected(Controller):
             contraction=self._contraction.estimate,
             staleness=float(np.abs(q[7:] - posture).max()),
         )
+
+    def _correct(
+        self, entry: CorrectorEntry, q: np.ndarray, v: np.ndarray, *, again: bool
+    ) -> int | None:
+        """Correct the iterate. Return its active set, or None if it is lost. `again` at (q, v)."""
+        if again:
+            self._linearise(q, v)
+        corrected = entry.corrector.step(
+            self._iterate,
+            self._residual,
+            self._model,
+            self._now,
+            relaxation=self._config.relaxation,
+        )
+        if corrected is None:
+            self._iterate = Iterate.zero(self._stack)
+            return None
+        self._iterate, active_set = corrected
+        return active_set
+
+    def _torque(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return recover_torque(self._model, self._stack.contacts, q, v, self._iterate.y)
+
+    def _within_clamp(self, tau: np.ndarray) -> bool:
+        """Return whether the clamp leaves all torques as they are, or no correction would help."""
+        limits = self._stack.limits
+        return limits is None or self._uncorrected or bool((np.abs(tau) <= limits.clamp).all())
 
     def _source(self, entry: CorrectorEntry) -> Source:
         if self._uncorrected:

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from shared.config.settings import PlantConfig
-from shared.robots import FootDescription, Robot
+from shared.robots import Foot, FootDescription, Robot
 
 _SOLE_THICKNESS = 0.01
 
@@ -65,9 +65,12 @@ def mjcf(robot: Robot, plant: PlantConfig, *, timestep: float) -> str:
         if joint == 1:
             Xml.SubElement(body, "freejoint", name=name)
         else:
-            Xml.SubElement(
-                body, "joint", name=name, type="hinge", axis=_numbers(_axis(model, joint))
-            )
+            hinge = {
+                "name": name,
+                "type": "hinge",
+                "axis": _numbers(_axis(model, joint)),
+            }
+            Xml.SubElement(body, "joint", {**hinge, **_range(robot, plant, joint)})
         inertia = model.inertias[joint]
         I = inertia.inertia  # noqa: E741
         Xml.SubElement(
@@ -78,14 +81,71 @@ def mjcf(robot: Robot, plant: PlantConfig, *, timestep: float) -> str:
             fullinertia=_numbers([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]),
         )
         if name in feet:
-            body.append(_sole(feet[name], contact))
+            body.append(_sole(feet[name], contact, legs_collide=plant.leg_collision))
+    if plant.leg_collision:
+        for foot in robot.description.feet:
+            for joint, link in _leg(robot, foot, contact):
+                bodies[joint].append(link)
     actuators = Xml.SubElement(root, "actuator")
     for joint in range(2, model.njoints):
         Xml.SubElement(actuators, "motor", name=model.names[joint], joint=model.names[joint])
     return Xml.tostring(root, encoding="unicode")
 
 
-def _sole(foot: FootDescription, contact: dict[str, Any]) -> Xml.Element:
+def _range(robot: Robot, plant: PlantConfig, joint: int) -> dict[str, str]:
+    """The attributes of a hinge with the position limits of the URDF, if the plant has them."""
+    if not plant.joint_limits:
+        return {}
+    lower, upper = robot.position_limit[:, joint - 2]
+    # As stiff as a contact with the floor.
+    stop = f"{plant.contact_time_constant} {plant.contact_damping_ratio}"
+    return {"limited": "true", "range": _numbers([lower, upper]), "solreflimit": stop}
+
+
+def _leg(
+    robot: Robot, foot: FootDescription, contact: dict[str, Any]
+) -> list[tuple[int, Xml.Element]]:
+    """Capsules along the thigh and the shank of a leg, each with the joint that carries it."""
+    model = robot.model
+    links: list[tuple[int, np.ndarray]] = []
+    joint = model.getJointId(foot.joint)
+    # Up the chain to the hip, whose own placement is not along the leg.
+    while len(links) < len(robot.description.leg_radii):
+        end = model.jointPlacements[joint].translation
+        joint = model.parents[joint]
+        if np.linalg.norm(end) > 0.0:
+            links.append((joint, end))
+    return [
+        (
+            joint,
+            Xml.Element(
+                "geom",
+                name=f"{foot.side.value}_{name}",
+                type="capsule",
+                fromto=_numbers([0.0, 0.0, 0.0, *end]),
+                size=repr(radius),
+                mass="0",
+                **_collisions(foot),
+                **contact,
+            ),
+        )
+        for (joint, end), name, radius in zip(
+            reversed(links), ("thigh", "shank"), robot.description.leg_radii, strict=True
+        )
+    ]
+
+
+def _collisions(foot: FootDescription, *, contype: int = 0, conaffinity: int = 0) -> dict[str, Any]:
+    """The bits by which the links of one leg meet those of the other, beside other bits."""
+    own, other = (4, 8) if foot.side is Foot.LEFT else (8, 4)
+    return {"contype": str(contype | own), "conaffinity": str(conaffinity | other)}
+
+
+def _sole(foot: FootDescription, contact: dict[str, Any], *, legs_collide: bool) -> Xml.Element:
+    # The floor's bits are 1 and 2.
+    bits: dict[str, Any] = {"contype": "2", "conaffinity": "1"}
+    if legs_collide:
+        bits = _collisions(foot, contype=2, conaffinity=1)
     (x0, x1), (y0, y1) = foot.sole_x, foot.sole_y
     centre = [(x0 + x1) / 2, (y0 + y1) / 2, -foot.sole_height + _SOLE_THICKNESS / 2]
     half = [(x1 - x0) / 2, (y1 - y0) / 2, _SOLE_THICKNESS / 2]
@@ -95,8 +155,7 @@ def _sole(foot: FootDescription, contact: dict[str, Any]) -> Xml.Element:
         type="box",
         pos=_numbers(centre),
         size=_numbers(half),
-        contype="2",
-        conaffinity="1",
+        **bits,
         **contact,
     )
 

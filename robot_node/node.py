@@ -27,6 +27,7 @@ from shared.config.settings import RunConfig
 from shared.robots import Foot, Robot
 from shared.telemetry.schema import Schema, Source, tick_schema
 from shared.wbc.contacts import ContactMode
+from shared.wbc.limits import Limits
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference
 from shared.wbc.stack import make_stacks
@@ -61,12 +62,14 @@ class RobotNode:
         self._config = config
         self._motion = motion
         self._plant = self._make_plant(robot)
-        self._sensors = Sensors(config.sensors, seed=config.seed)
         period_ns = config.loop.period_ns
+        self._sensors = Sensors(config.sensors, seed=config.seed, period=period_ns * 1e-9)
         self.sensor_guard = SensorGuard(robot, config.sensors, period_ns=period_ns)
+        self._contact_force = np.full(6, np.nan)
         self._model = WholeBodyModel(robot)
-        stacks = make_stacks(robot, config.wbc)
-        self.tick_row = TickRow(self.schema, self._model, stacks)
+        stacks = make_stacks(robot, config.wbc, Limits.of(robot, config))
+        self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
+        self.tick_row = TickRow(self.schema, self._model, stacks, torque_limit=self._guard.limit)
         self._session = new_session() if session is None else session
         self.answers = SenderCounter()
         self._sent = SentStates(robot.model.nv - 6)
@@ -91,7 +94,6 @@ class RobotNode:
         )
         self.cache = self.controller.cache
         self.on_board = self.controller.on_board
-        self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
         self._torque_rate_limiter = TorqueRateLimiter(self._guard)
         self._last_rung = Source.HELD
         self._hold = JointHold(robot, timestep=config.loop.period_ns * 1e-9)
@@ -123,6 +125,9 @@ class RobotNode:
         self._plan_ns = self.time_ns + self._plan.skipped_ns
         q = self._plan_frame.in_plan(self._q_in_world)
         self._q, self._v = q, v
+        if self._config.sensors.measure_forces:
+            forces = self._sensors.forces(self._plant.contact_forces())
+            self._contact_force = np.concatenate([forces[foot] for foot in Foot])
         self._reference = self._motion.reference(self._plan_ns)
         self.controller.observe(q, v, self._reference)
         self._measured_ns = now_ns
@@ -137,6 +142,7 @@ class RobotNode:
                 q=q,
                 v=v,
                 held_sequences=self.cache.held_sequences,
+                com_command=self.controller.com_command,
             )
         )
 
@@ -218,6 +224,7 @@ class RobotNode:
             plan_frame=self._plan_frame,
             plan_ns=self._plan_ns,
             push=push,
+            contact_force=self._contact_force,
             on_board_qps=0 if self.on_board is None else self.on_board.solves,
             refused=self.cache.refused.total_refused,
         )

@@ -56,7 +56,7 @@ def _whole_body_controller(robot: Robot, config: RunConfig, motion: Motion) -> W
     # A robot that does not solve loads neither the solvers nor SciPy.
     from shared.wbc.whole_body import WholeBodyController
 
-    return WholeBodyController(robot, config.wbc, motion)
+    return WholeBodyController(robot, config, motion)
 
 
 class OnBoardComputer(Protocol):

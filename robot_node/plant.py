@@ -15,7 +15,7 @@ import pinocchio as pin
 from robot_node.mjcf import mjcf
 from shared.config.extensions import PLANTS, Taken
 from shared.config.settings import PlantConfig
-from shared.robots import Robot
+from shared.robots import Foot, Robot
 
 
 class Plant(Protocol):
@@ -26,6 +26,9 @@ class Plant(Protocol):
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """True (q, v), shapes (nq,) and (nv,), in Pinocchio's convention."""
+
+    def contact_forces(self) -> dict[Foot, np.ndarray]:
+        """Forces of the floor on the soles (3,), in the world [N]."""
 
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
         """Advance one timestep under joint torques (nv − 6,) [N m] and a force on the base [N],
@@ -59,7 +62,10 @@ class MujocoPlant:
         self.data = mujoco.MjData(self.model)
         # MuJoCo's own memory, each of which it would look up anew.
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
+        self._fastest = robot.velocity_limit if config.velocity_limits else None
         self._force_on_base = self.data.xfrc_applied[self.model.body(robot.model.names[1]).id, :3]
+        self._soles = {self.model.geom(f"{foot.value}_sole").id: foot for foot in Foot}
+        self._floor = self.model.geom("floor").id
         self.set_state(robot.q_standing, np.zeros(robot.model.nv))
 
     def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
@@ -72,9 +78,27 @@ class MujocoPlant:
         """True (q, v), shapes (nq,) and (nv,)."""
         return from_mujoco(self._qpos, self._qvel)
 
+    def contact_forces(self) -> dict[Foot, np.ndarray]:
+        """Forces of the floor on the soles, as in `Plant`: those of the last step."""
+        forces = {foot: np.zeros(3) for foot in Foot}
+        wrench = np.zeros(6)
+        for k, contact in enumerate(self.data.contact):
+            foot = self._soles.get(contact.geom2)
+            if contact.geom1 != self._floor or foot is None:
+                continue
+            mujoco.mj_contactForce(self.model, self.data, k, wrench)
+            # From the first body on the second, in the contact's frame, whose axes are rows.
+            forces[foot] += contact.frame.reshape(3, 3).T @ wrench[:3]
+        return forces
+
+    def _driven(self, tau: np.ndarray, fastest: np.ndarray) -> np.ndarray:
+        """The torques (nv − 6,), 0 where one would drive its joint beyond its velocity limit."""
+        rates = self._qvel[6:]
+        return np.where((np.abs(rates) >= fastest) & (tau * rates > 0.0), 0.0, tau)
+
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
         """Advance one timestep under joint torques and a push, as in `Plant`."""
-        self._ctrl[:] = tau
+        self._ctrl[:] = tau if self._fastest is None else self._driven(tau, self._fastest)
         self._force_on_base[:] = push
         mujoco.mj_step(self.model, self.data)
 

@@ -79,6 +79,14 @@ class RigidPlant:
         )
         return a
 
+    def contact_forces(self) -> dict[Foot, np.ndarray]:
+        """Forces of the floor on the soles, as in `Plant`: those of the last step."""
+        forces = {}
+        for foot, data in zip(Foot, self._weld_data, strict=True):
+            # In the frame of the sole, which does not turn.
+            forces[foot] = data.oMc1.rotation @ data.contact_force.linear
+        return forces
+
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
         """Advance one timestep under joint torques and a push, as in `Plant`."""
         self._v = self._v + self._timestep * self.acceleration(tau, push=push)

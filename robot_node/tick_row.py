@@ -25,6 +25,7 @@ class Moment:
     is the true state, `com` and `soles` its centre of mass and sole positions in the world [m];
     `measured` is the state from the sensors, in the plan's frame as `reference` is; `plan_frame`
     and `plan_ns` are the place of the plan. `push` is the external force on the base [N].
+    `contact_force` (6,) is measured on the left and on the right foot [N].
     """
 
     tick: int
@@ -39,6 +40,7 @@ class Moment:
     plan_frame: PlanFrame
     plan_ns: int
     push: np.ndarray
+    contact_force: np.ndarray
     on_board_qps: int
     refused: int
 
@@ -47,12 +49,19 @@ class TickRow:
     """Fills rows of a schema, in the order of the ticks."""
 
     def __init__(
-        self, schema: Schema, model: WholeBodyModel, stacks: dict[ContactMode, Stack]
+        self,
+        schema: Schema,
+        model: WholeBodyModel,
+        stacks: dict[ContactMode, Stack],
+        *,
+        torque_limit: np.ndarray,
     ) -> None:
         # One write for all columns of a tick, which follow one another; see `tick_schema`.
-        self._filled = slice(schema.slices["tick"].start, schema.slices["staleness_rad"].stop)
+        self._filled = slice(schema.slices["tick"].start, schema.slices["contact_force_n"].stop)
         self._refused = schema.slices["refused"].start
         self._model = model
+        self._robot = model.robot
+        self._torque_limit = torque_limit
         self._stacks = stacks
         self._unloaded = np.zeros(FORCES_PER_FOOT)
         self._set_down: list[tuple[float, float] | None] = [None for _ in Foot]
@@ -86,6 +95,8 @@ class TickRow:
                 (frame.x, frame.y, frame.yaw, moment.plan_ns),
                 (command.age_ns, sequence, active_set, moment.on_board_qps),
                 (contraction, staleness),
+                self._load(moment, command.tau),
+                moment.contact_force,
             ),
             out=row[self._filled],
         )
@@ -99,6 +110,16 @@ class TickRow:
         if decision.mode is ContactMode.RIGHT_SUPPORT:
             return self._unloaded, f
         return f[:FORCES_PER_FOOT], f[FORCES_PER_FOOT:]
+
+    def _load(self, moment: Moment, tau: np.ndarray) -> tuple[float, float, float]:
+        """The last columns of `tick_schema`: torque, position and velocity against their limits."""
+        joints, rates = moment.q[7:], moment.v[6:]
+        lowest, highest = self._robot.position_limit
+        return (
+            float((np.abs(tau) / self._torque_limit).max()),
+            float(np.maximum(lowest - joints, joints - highest).max()),
+            float((np.abs(rates) / self._robot.velocity_limit).max()),
+        )
 
     def _slips(self, moment: Moment) -> list[float]:
         """Distance in the plane of each loaded sole from where it was set down, NaN in the air."""

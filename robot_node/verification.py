@@ -18,7 +18,7 @@ from shared.robots import Robot
 from shared.wbc.answer import Factorisation, Projector
 from shared.wbc.contacts import ContactMode
 from shared.wbc.finite import all_finite
-from shared.wbc.model import WholeBodyModel
+from shared.wbc.model import Jacobians, WholeBodyModel
 from shared.wbc.reference import Reference
 from shared.wbc.stack import Stack
 from shared.wbc.verification import InverseTest
@@ -75,12 +75,20 @@ class FactorisationVerifier:
         distance = math.sqrt(moved @ moved / len(moved))
         if not (distance <= self._distance and np.abs(moved).max() <= self._joint_distance):
             raise MessageRefused("posture", f"{distance:.2f} rad from the state that it is for")
-        q = self._model.robot.q_standing.copy()
-        q[7:] = posture
         mode = factorisation.mode
-        matrices = self._stacks[mode].matrices(self._model.jacobians(q))
+        matrices = self._stacks[mode].matrices(self._jacobians(posture))
         if not self._tests[mode].passes(matrices, factorisation):
             raise MessageRefused("not_inverse", f"{mode.name}: not the robot's own KKT matrix")
+
+    def limit_rows(self, factorisation: Factorisation) -> np.ndarray:
+        """The rows D of the robot's limits at the posture of a factorisation, (n_x, n)."""
+        stack = self._stacks[factorisation.mode]
+        return stack.limit_rows(self._jacobians(factorisation.posture))
+
+    def _jacobians(self, posture: np.ndarray) -> Jacobians:
+        q = self._model.robot.q_standing.copy()
+        q[7:] = posture
+        return self._model.jacobians(q)
 
 
 class ProjectorVerifier:

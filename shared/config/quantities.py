@@ -26,12 +26,15 @@ _UNITS_NS = {"us": 1e3, "ms": 1e6, "s": 1e9}
 # Larger times and forces are typing errors. Up to this bound, times stay well inside 64 bits of ns.
 _MAX_SECONDS = 1e6
 _PUSH = re.compile(
-    r"(?P<force>[0-9.]+)N@(?P<start>[0-9.]+)s:(?P<duration>[0-9.]+)s:(?P<sign>[+-])(?P<axis>[xyz])"
+    r"(?P<force>[0-9.]+)N@(?P<start>[0-9.]+)s:(?P<duration>[0-9.]+)s:(?P<direction>[+-][xyz]|[+-]x[+-]y)"
 )
 
 
 def parse_push(text: str) -> Push:
-    """`100N@1.0s:0.2s:+y` → 100 N along +y of the world from 1.0 s for 0.2 s."""
+    """`100N@1.0s:0.2s:+y` → 100 N along +y of the world from 1.0 s for 0.2 s.
+
+    `+x-y` is a direction too: the diagonal between +x and −y.
+    """
     match = _PUSH.fullmatch(text.strip())
     try:
         if match is None:
@@ -43,10 +46,14 @@ def parse_push(text: str) -> Push:
     except ValueError:
         raise ConfigError(
             f"push: expected FORCE@START:DURATION:DIRECTION as in 100N@1.0s:0.2s:+y "
-            f"(direction ±x, ±y or ±z), or none, got {text!r}"
+            f"(direction ±x, ±y, ±z or ±x±y), or none, got {text!r}"
         ) from None
+    direction = match["direction"]
+    signs, axes = direction[::2], direction[1::2]
+    share = size / math.sqrt(len(axes))
     force = [0.0, 0.0, 0.0]
-    force["xyz".index(match["axis"])] = size if match["sign"] == "+" else -size
+    for sign, axis in zip(signs, axes, strict=True):
+        force["xyz".index(axis)] = share if sign == "+" else -share
     return Push((force[0], force[1], force[2]), round(start * 1e9), round(duration * 1e9))
 
 

@@ -65,11 +65,54 @@ class Weights:
 
 
 @dataclass(frozen=True)
+class LimitsConfig:
+    """The robot's own limits in the QP.
+
+    A joint has to come to rest `position_margin` before the end of its range.
+    """
+
+    torque: bool = setting(False, help="the QP keeps joint torques below the clamp")
+    position: bool = setting(False, help="the QP keeps joints within their range")
+    velocity: bool = setting(False, help="the QP keeps joints below their velocity limits")
+    torque_fraction: float = setting(
+        0.98, help="largest joint torque of the QP, × the clamp", at_least=0.01, at_most=1.0
+    )
+    position_margin: float = setting(
+        0.08, help="distance of the limit from the end of a joint's range", unit="rad", at_least=0.0
+    )
+
+
+@dataclass(frozen=True)
+class BalanceConfig:
+    """The feedback of the CoM.
+
+    `com` is the task's own, with `gains.com`. `dcm` commands the centre of pressure (CoP) by the
+    divergent component of motion. It may command the CoP `beyond` the support, which turns the
+    trunk. An observer adds the estimated external force if it is worth more than `dead_band` as a
+    shift of the CoP. `dcm` needs a weight of the CoM of about 10.
+    """
+
+    law: str = setting("com", help="feedback of the CoM in the plane", choices=("com", "dcm"))
+    gain: float = setting(8.0, help="gain of the DCM", unit="1/s", at_least=0.0)
+    beyond: float = setting(
+        0.075, help="distance of a commanded CoP beyond the support", unit="m", at_least=0.0
+    )
+    observer_time: float = setting(
+        0.01, help="time constant of the observer, 0: no observer", unit="s", at_least=0.0
+    )
+    dead_band: float = setting(
+        0.06, help="least shift of the CoP by the observer", unit="m", at_least=0.0
+    )
+
+
+@dataclass(frozen=True)
 class WbcConfig:
     """The whole-body QP."""
 
     gains: Gains = field(default_factory=Gains)
     weights: Weights = field(default_factory=Weights)
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
+    balance: BalanceConfig = field(default_factory=BalanceConfig)
     friction: float = setting(0.5, help="friction μ that the controller assumes", at_least=1e-3)
     min_normal_force: float = setting(
         1.0, help="least normal force of a contact point", unit="N", at_least=0.0
@@ -100,17 +143,49 @@ class PlantConfig:
         0.005, help="time constant of a contact, in `solref`", unit="s"
     )
     contact_damping_ratio: float = setting(1.0, help="damping ratio of a contact, in `solref`")
+    joint_limits: bool = setting(False, help="joints stop at the URDF's position limits")
+    velocity_limits: bool = setting(
+        False, help="a motor at the URDF's velocity limit drives its joint no faster"
+    )
+    leg_collision: bool = setting(False, help="a leg stops at the other one")
 
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """Gaussian noise on the robot's measurements."""
+    """Errors of the robot's measurements.
+
+    Noise is Gaussian and new in each tick. The bias is the same throughout a run, drawn from the
+    seed with this standard deviation. The drift is a random walk.
+    """
 
     joint_position_noise: float = setting(
         1e-2, help="standard deviation of joint positions", unit="rad", at_least=0.0, flag="--noise"
     )
     joint_velocity_noise: float = setting(
         0.0, help="standard deviation of joint velocities", unit="rad/s", at_least=0.0
+    )
+    base_position_noise: float = setting(
+        0.0, help="standard deviation of the base's position", unit="m", at_least=0.0
+    )
+    base_position_drift: float = setting(
+        0.0, help="drift of the base's position in a second", unit="m/√s", at_least=0.0
+    )
+    base_velocity_noise: float = setting(
+        0.0, help="standard deviation of the base's velocity", unit="m/s", at_least=0.0
+    )
+    tilt_noise: float = setting(
+        0.0, help="standard deviation of the base's orientation", unit="rad", at_least=0.0
+    )
+    tilt_bias: float = setting(0.0, help="bias of the base's orientation", unit="rad", at_least=0.0)
+    gyro_noise: float = setting(
+        0.0, help="standard deviation of the base's angular velocity", unit="rad/s", at_least=0.0
+    )
+    gyro_bias: float = setting(
+        0.0, help="bias of the base's angular velocity", unit="rad/s", at_least=0.0
+    )
+    measure_forces: bool = setting(False, help="the robot measures the forces on its feet")
+    force_noise: float = setting(
+        0.0, help="standard deviation of a foot's measured force", unit="N", at_least=0.0
     )
 
 

@@ -57,6 +57,7 @@ CATALOGUE: dict[str, RobotDescription] = {
                 sole_y=(-_ROMEO_SOLE_OUTER, _ROMEO_SOLE_INNER),
             ),
         ),
+        leg_radii=(0.071, 0.054),
     ),
     "talos": RobotDescription(
         name="talos",
@@ -79,6 +80,7 @@ CATALOGUE: dict[str, RobotDescription] = {
                 sole_y=_TALOS_SOLE_Y,
             ),
         ),
+        leg_radii=(0.079, 0.071),
         settings={
             # Romeo's 100 N times the ratio of their masses.
             "balance": {**_TALOS_SETTINGS, "push": ["223N@1.0s:0.2s:+y"]},

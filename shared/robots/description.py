@@ -53,9 +53,10 @@ class FootDescription:
 class RobotDescription:
     """A catalogue entry. Paths are relative to the robots folder of example-robot-data.
 
-    `posture` names the SRDF's group state in which the robot stands. `settings` has, for each task,
-    the defaults that this robot changes, by the keys of a settings file. A file and flags come on
-    top.
+    `posture` names the SRDF's group state in which the robot stands. `leg_radii` are the distances
+    of the inner side of the thigh and of the shank from the lines between the joints [m].
+    `settings` has, for each task, the defaults that this robot changes, by the keys of a settings
+    file. A file and flags come on top.
     """
 
     name: str
@@ -63,19 +64,24 @@ class RobotDescription:
     srdf: str
     posture: str
     feet: tuple[FootDescription, FootDescription]
+    leg_radii: tuple[float, float]
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Robot:
-    """A loaded robot. `q_standing` (nq,) in Pinocchio's order, `effort_limit` (nv − 6,) [N m],
-    `mass` [kg].
+    """A loaded robot. `q_standing` (nq,) in Pinocchio's order, `mass` [kg].
+
+    Limits of the joints as the URDF has them: `effort_limit` (nv − 6,) [N m], `velocity_limit`
+    (nv − 6,) [rad/s], `position_limit` (2, nv − 6) lower and upper [rad].
     """
 
     description: RobotDescription
     model: pin.Model
     q_standing: np.ndarray
     effort_limit: np.ndarray
+    velocity_limit: np.ndarray
+    position_limit: np.ndarray
     mass: float
     urdf_path: Path
 

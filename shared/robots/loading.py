@@ -39,6 +39,8 @@ def load(description: RobotDescription) -> Robot:
         model=model,
         q_standing=_on_the_ground(model, q_standing),
         effort_limit=np.array(model.effortLimit[6:]),
+        velocity_limit=np.array(model.velocityLimit[6:]),
+        position_limit=np.stack([model.lowerPositionLimit[7:], model.upperPositionLimit[7:]]),
         mass=float(pin.computeTotalMass(model)),
         urdf_path=urdf_path,
     )

@@ -32,6 +32,12 @@ def mean(values: np.ndarray) -> float | None:
     return float(f"{finite.mean():.6g}") if finite.size else None
 
 
+def largest(values: np.ndarray) -> float | None:
+    """Return the largest of the finite values; None if there are none."""
+    finite = values[np.isfinite(values)]
+    return float(f"{finite.max():.6g}") if finite.size else None
+
+
 def quantiles(values: np.ndarray, *, digits: int = 4) -> dict[str, float | None]:
     """Return p50, p99 and max of the finite values; None if there are none."""
     finite = values[np.isfinite(values)]

@@ -140,6 +140,19 @@ def tick_schema(*, nq: int, nv: int) -> Schema:
             help="largest distance of a joint from its position at LC's factorisation; NaN "
             "without a correction",
         ),
+        Column("torque_ratio", help="largest torque over the clamp; 1 where the robot clamps it"),
+        Column(
+            "joint_beyond_rad",
+            unit="rad",
+            help="largest distance of a joint beyond the URDF's range; negative within",
+        ),
+        Column("joint_speed_ratio", help="largest speed of a joint over the URDF's velocity limit"),
+        Column(
+            "contact_force_n",
+            6,
+            unit="N",
+            help="measured force on the left and the right foot, in the world; NaN if not measured",
+        ),
         Column("tick_ns", kind=integer, unit="ns", help="duration of the tick's computation"),
         Column("late_ns", kind=integer, unit="ns", help="lateness of the tick's start"),
         Column("overruns", kind=integer, help="ticks left out so far"),

@@ -5,20 +5,30 @@ The robot applies them. It needs neither a solver nor LAPACK for that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from shared.wbc.contacts import ContactMode
 
 
+def no_rows() -> np.ndarray:
+    """Indices of no row, (0,)."""
+    return np.empty(0, dtype=int)
+
+
 @dataclass(frozen=True, slots=True)
 class Projector:
-    """A† of one optimal active set. `A_dagger` (n, n_rows); `active` row indices of C."""
+    """A† of one optimal active set. `A_dagger` (n, n_rows + k); `active` row indices of C.
+
+    `limits` (k,) are the active limits by their entry of b after the layout's rows. Their columns
+    are the last ones.
+    """
 
     mode: ContactMode
     A_dagger: np.ndarray
     active: np.ndarray
+    limits: np.ndarray = field(default_factory=no_rows)
 
     @property
     def active_set(self) -> int:
@@ -27,6 +37,10 @@ class Projector:
 
     def apply(self, b: np.ndarray) -> np.ndarray:
         """y = A† b, Eq. (4); shape (n,): accelerations, then contact forces."""
+        k = len(self.limits)
+        n_rows = self.A_dagger.shape[1] - k
+        if len(b) > n_rows:
+            b = np.concatenate([b[:n_rows], b[n_rows + self.limits]]) if k else b[:n_rows]
         y: np.ndarray = self.A_dagger.dot(b)
         return y
 

@@ -27,6 +27,7 @@ import numpy as np
 from shared.wbc.answer import Factorisation
 from shared.wbc.contacts import FORCES_PER_FOOT, ContactMode
 from shared.wbc.finite import all_finite
+from shared.wbc.limits import Limits
 from shared.wbc.model import Kinematics, RowMultipliers, WholeBodyModel
 from shared.wbc.stack import N_DYNAMICS, ROWS_PER_CONTACT, Stack
 
@@ -63,10 +64,18 @@ class Corrector:
     """Chord steps with one factorisation. Made when the factorisation arrives, used every tick.
 
     Raises `numpy.linalg.LinAlgError` if the forces' block of P is not positive definite.
-    Not shared between threads: the small QP keeps its active set from one step to the next.
+    `limit_rows` D (n_x, n) at the factorised posture, for a stack with limits. Not shared between
+    threads: the small QPs keep their active sets from one step to the next.
     """
 
-    def __init__(self, stack: Stack, factorisation: Factorisation, *, level: str) -> None:
+    def __init__(
+        self,
+        stack: Stack,
+        factorisation: Factorisation,
+        *,
+        level: str,
+        limit_rows: np.ndarray | None = None,
+    ) -> None:
         self.factorisation = factorisation
         self._stack = stack
         self._level = level
@@ -84,6 +93,9 @@ class Corrector:
         self._qp.setup(self._F, np.zeros(len(self._F)), C, no_bound, l, _SENSE[: len(l)])
         if self._project(np.zeros(len(self._F))) is None:
             raise np.linalg.LinAlgError("the forces' block of P is not definite enough")
+        self._limited: LimitedProjection | None = None
+        if stack.limits is not None and limit_rows is not None:
+            self._limited = LimitedProjection(stack, stack.limits, factorisation, limit_rows)
 
     def step(
         self,
@@ -96,13 +108,13 @@ class Corrector:
     ) -> tuple[Iterate, int] | None:
         """The corrected iterate and its active set as a bit mask; None if it is not finite.
 
-        `residual` (n_rows,) is b − M y at the present state, `now` the kinematics there.
+        `residual` is b − M y at the present state, `now` the kinematics there.
         """
         stack = self._stack
-        n_a = stack.layout.n_accelerations
+        n_a, n_rows = stack.layout.n_accelerations, stack.layout.n_rows
         y, nu = iterate.y, iterate.nu
         if self._level == "b":
-            moved = self._K.dot(residual[:-1]) - self._regularisation.dot(y[n_a:])
+            moved = self._K.dot(residual[: n_rows - 1]) - self._regularisation.dot(y[n_a:])
             y = y + (moved if relaxation == 1.0 else relaxation * moved)
         else:
             gradient = self._gradient(iterate, residual, model, now)
@@ -110,13 +122,30 @@ class Corrector:
             equalities = residual[stack.equality_rows]
             y = y + relaxation * (Q @ equalities - P @ gradient)
             nu = nu + relaxation * (Q.T @ gradient + T @ equalities)
-        f = y[n_a:]
         if not all_finite(y):
             return None
+        corrected = self._obey_friction(Iterate(stack.mode, y, nu))
+        if corrected is None or self._limited is None:
+            return corrected
+        misses = residual[n_rows:]
+        if self._limited.holds(corrected[0].y - iterate.y, misses):
+            return corrected
+        limited = self._limited.obey(y, y - iterate.y, misses)
+        if limited is None:
+            return None
+        moved, multipliers, active = limited
+        nu = nu - self.factorisation.Q.T @ multipliers
+        return Iterate(stack.mode, y + moved, nu), stack.mode.active_set(active)
+
+    def _obey_friction(self, iterate: Iterate) -> tuple[Iterate, int] | None:
+        """The nearest iterate that obeys the friction rows, and its active set as a bit mask."""
+        stack, y, nu = self._stack, iterate.y, iterate.nu
+        n_a = stack.layout.n_accelerations
+        f = y[n_a:]
         C, l = stack.contacts.C, stack.contacts.l  # noqa: E741
         if (C.dot(f) >= l).all():
             # Forces that obey the friction rows are the nearest that do.
-            return Iterate(stack.mode, y, nu), 0
+            return iterate, 0
         projected = self._project(f)
         if projected is None:
             return None
@@ -162,7 +191,70 @@ class Corrector:
         return gradient
 
 
+class LimitedProjection:
+    """The nearest solution that obeys the friction rows and the robot's own limits.
+
+    The limited quantities and the forces, w = (x, f), move in the metric of (W P Wᵀ + slack)⁻¹ with
+    W = (D; 0 I), and y moves by P Wᵀ times as much. x is exact at the iterate, D is stale.
+    """
+
+    def __init__(
+        self, stack: Stack, limits: Limits, factorisation: Factorisation, D: np.ndarray
+    ) -> None:
+        n_a, (n_x, n) = stack.layout.n_accelerations, D.shape
+        P, C, l = factorisation.P, stack.contacts.C, stack.contacts.l  # noqa: E741
+        self._n_x, self._n_a, self._C, self._l = n_x, n_a, C, l
+        self._D = np.ascontiguousarray(D)
+        self._beyond_from_y = np.concatenate([-D, D])
+        W = np.vstack([D, np.eye(n)[n_a:]])
+        slack = np.full(len(W), _ROUNDING * np.diag(P)[n_a:].max())
+        slack[:n_x] = limits.slack
+        compliance = W @ P @ W.T
+        self._metric = _spd_inverse(0.5 * (compliance + compliance.T) + np.diag(slack))
+        self._gradient_from_w = np.ascontiguousarray(W.T @ self._metric)
+        self._y_from_w = np.ascontiguousarray(P @ self._gradient_from_w)
+        # The quantities are bounds on variables; the friction rows follow.
+        n_rows = n_x + len(l)
+        self._lower, self._upper = np.full(n_rows, -1e30), np.full(n_rows, 1e30)
+        rows = np.hstack([np.zeros((len(l), n_x)), C])
+        self._qp = daqp.Model()
+        sense = np.zeros(n_rows, dtype=np.int32)
+        self._qp.setup(self._metric, np.zeros(len(W)), rows, self._upper, self._lower, sense)
+
+    def holds(self, moved: np.ndarray, misses: np.ndarray) -> bool:
+        """Return whether the limits hold once y has `moved` from the iterate with these misses."""
+        beyond = self._beyond_from_y.dot(moved)
+        beyond += misses
+        return bool(beyond.max() <= 0.0)
+
+    def obey(
+        self, y: np.ndarray, moved: np.ndarray, misses: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """The move of y, the gradient Wᵀ λ that moves it, and the active friction rows.
+
+        `moved` is how far y is from the iterate at which the `misses` are exact.
+        """
+        n_x = self._n_x
+        of_x = self._D.dot(moved)
+        np.subtract(misses[:n_x], of_x, self._lower[:n_x])
+        np.negative(misses[n_x:] + of_x, self._upper[:n_x])
+        np.subtract(self._l, self._C.dot(y[self._n_a :]), self._lower[n_x:])
+        try:
+            self._qp.update(bupper=self._upper, blower=self._lower)
+            w, _, flag, info = self._qp.solve()
+        except RuntimeError:  # how daqp says that it cannot
+            return None
+        if flag != 1:
+            return None
+        w, multipliers = np.asarray(w), np.asarray(info["lam"])
+        active = np.flatnonzero(multipliers[n_x:])
+        return self._y_from_w.dot(w), self._gradient_from_w.dot(w), active
+
+
 _SENSE = np.zeros(64, dtype=np.int32)
+# Of the forces' block of P: a friction row may yield so much, because the wire rounds P to single
+# precision and W P Wᵀ has only as many dimensions as y has freedoms.
+_ROUNDING = 3e-7
 
 
 def _spd_inverse(matrix: np.ndarray) -> np.ndarray:

@@ -31,11 +31,21 @@ from shared.wbc.contacts import ContactGeometry
 class LeastNorm:
     """The equations at one configuration, without friction rows.
 
-    `rows` (m, n_z + n_rows): B and Z side by side. `T` (nv, nv).
+    `rows` (m, n_z + n_rows): B and Z side by side. `T` (nv, nv). `D` (n_x, n): limited quantities.
     """
 
     rows: np.ndarray
     T: np.ndarray
+    D: np.ndarray
+
+    def limit_rows(self, form: LeastNormForm, quantities: np.ndarray) -> np.ndarray:
+        """D y of some quantities (k,) as rows of (B, Z), (k, n_z + n_rows)."""
+        D, n_a = self.D[quantities], len(self.T)
+        rows = np.zeros((len(D), form.b.stop))
+        np.matmul(D[:, :n_a], self.T, out=rows[:, form.rho_1])
+        np.multiply(D[:, n_a:], form.force_scale, out=rows[:, form.f])
+        np.negative(rows[:, form.rho_1], out=rows[:, form.s_1])
+        return rows
 
 
 class LeastNormForm:
@@ -72,7 +82,7 @@ class LeastNormForm:
         self.friction_rows[:, self.f] = contacts.C * self.force_scale
         self.friction_rows[:, -1] = contacts.l
 
-    def at(self, E_a: np.ndarray, E_f: np.ndarray, A: np.ndarray) -> LeastNorm:
+    def at(self, E_a: np.ndarray, E_f: np.ndarray, A: np.ndarray, D: np.ndarray) -> LeastNorm:
         """The equations with the matrices of one configuration."""
         n_e, n_a = E_a.shape
         T = self._T.copy()
@@ -84,4 +94,4 @@ class LeastNormForm:
             np.matmul(A[n_a:], T, out=rows[n_e:, self.rho_1])
         np.multiply(E_f, self.force_scale, out=rows[: len(E_f), self.f])
         np.negative(rows[:, self.rho_1], out=rows[:, self.s_1])
-        return LeastNorm(rows, T)
+        return LeastNorm(rows, T, D)

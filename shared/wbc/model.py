@@ -73,11 +73,13 @@ class Kinematics:
 class Jacobians:
     """Configuration-dependent terms of A.
 
-    `M_unactuated` (6, nv): base rows of the inertia matrix; `J_sole` (6, nv) per foot, in the sole
+    `M_unactuated` (6, nv) and `M_actuated` (nv − 6, nv): base and joint rows of the inertia matrix;
+    `J_sole` (6, nv) per foot, in the sole
     frame; `J_com` (3, nv) in the base frame. None depends on where the base is or how it is turned.
     """
 
     M_unactuated: np.ndarray
+    M_actuated: np.ndarray
     J_sole: dict[Foot, np.ndarray]
     J_com: np.ndarray
 
@@ -198,13 +200,14 @@ class WholeBodyModel:
     def jacobians(self, q: np.ndarray) -> Jacobians:
         """Terms of A at q."""
         model, data = self.model, self.data
-        M_unactuated = pin.crba(model, data, q)[:6].copy()
+        M = pin.crba(model, data, q)
+        M_unactuated, M_actuated = M[:6].copy(), M[6:].copy()
         J_sole = {
             foot: pin.computeFrameJacobian(model, data, q, sole.frame, pin.LOCAL)
             for foot, sole in self._soles.items()
         }
         # The base rows of M map v to the momentum in the base frame; its first part is m ċ.
-        return Jacobians(M_unactuated, J_sole, J_com=M_unactuated[:3] / self._mass)
+        return Jacobians(M_unactuated, M_actuated, J_sole, J_com=M_unactuated[:3] / self._mass)
 
     def sole_motion(
         self, foot: Foot, q: np.ndarray, v: np.ndarray, a: np.ndarray

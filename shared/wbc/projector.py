@@ -8,6 +8,9 @@ Z b (`least_norm`), in which the tasks and √ω_f f have weight one:
 All are linear in b: the rows of A†. S has a row for each row of E, of a swing foot and of C_𝒜, and
 is the only matrix to factorise. The active set is that of the last state, if it proves to be
 optimal. Otherwise a solver finds it, in f alone (n_f = 24 or 12). Exact: no term is dropped.
+
+An active limit of the robot is a row of the same kind. It may be missed at a price, which adds 1/ω
+to its diagonal entry of S. Only the limits that a solution would break enter the solver's QP.
 `docs/maths.md` derives it.
 """
 
@@ -18,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri, dtrtrs
 
-from shared.wbc.answer import Projector
+from shared.wbc.answer import Projector, no_rows
 from shared.wbc.least_norm import LeastNorm
 from shared.wbc.qp import QpSolver, QpStatus, QuadraticProgram
 from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
@@ -26,13 +29,24 @@ from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
 # How clearly a set must be optimal to be taken without asking a solver [N]. Well above the solvers'
 # own tolerances: they would find the same set, so an answer does not depend on the states before.
 _CLEARLY = 1e-4
+# A limited quantity beyond its bound by more than rounding, [1] or [rad/s²]; and the most often
+# that the solver is asked again with the limits found by then.
+_BEYOND, _MAX_ROUNDS = 1e-7, 20
 
 
-def condense(stack: Stack, problem: LeastNorm, b: np.ndarray) -> QuadraticProgram:
-    """The QP in f alone, ρ eliminated. Raises `numpy.linalg.LinAlgError` if rows are dependent."""
+def condense(
+    stack: Stack, problem: LeastNorm, b: np.ndarray, quantities: np.ndarray | None = None
+) -> QuadraticProgram:
+    """The QP in f alone, ρ eliminated. Raises `numpy.linalg.LinAlgError` if rows are dependent.
+
+    With limits on some `quantities` (k,), rows of D, the QP is in (f, t) with t = √ω D y of these.
+    The rows of C are followed by k lower and k upper bounds of t.
+    """
     form, rows = stack.least_norm_form, problem.rows
     B_rho = np.concatenate([rows[:, form.rho_1], rows[:, form.rho_2]], axis=1)
-    right = np.column_stack([rows[:, form.f], rows[:, form.b] @ b])
+    right = np.column_stack([rows[:, form.f], rows[:, form.b] @ b[: stack.layout.n_rows]])
+    if quantities is not None and len(quantities):
+        return _condense_limited(stack, problem, b, quantities, B_rho, right)
     whitened, _ = dtrtrs(_cholesky(B_rho @ B_rho.T), right, lower=1)
     B_f, e = whitened[:, :-1], whitened[:, -1]
     F = stack.force_weight * (np.eye(B_f.shape[1]) + B_f.T @ B_f)
@@ -40,27 +54,80 @@ def condense(stack: Stack, problem: LeastNorm, b: np.ndarray) -> QuadraticProgra
     return QuadraticProgram(H=F, g=g, C=stack.contacts.C, l=stack.contacts.l)
 
 
+def _condense_limited(
+    stack: Stack,
+    problem: LeastNorm,
+    b: np.ndarray,
+    quantities: np.ndarray,
+    B_rho: np.ndarray,
+    right: np.ndarray,
+) -> QuadraticProgram:
+    """`condense` with rows D y − t/√ω = 0 that may be missed, so that 1/ω adds to the diagonal."""
+    form, m, k = stack.least_norm_form, len(B_rho), len(quantities)
+    rows = problem.limit_rows(form, quantities)
+    of_quantities = np.concatenate([rows[:, form.rho_1], rows[:, form.rho_2]], axis=1)
+    B_rho = np.concatenate([B_rho, of_quantities])
+    of_b = rows[:, form.b] @ b[: stack.layout.n_rows]
+    n_f = stack.contacts.n_forces
+    whitened = np.zeros((m + k, n_f + k + 1))
+    whitened[:m, :n_f], whitened[:m, -1] = right[:, :-1], right[:, -1]
+    whitened[m:, :n_f], whitened[m:, -1] = rows[:, form.f], of_b
+    slack = stack.slack[quantities]
+    unit = np.sqrt(slack)
+    whitened[m:, n_f:-1] = -np.diag(unit)
+    S = B_rho @ B_rho.T
+    S.flat[m * (m + k + 1) :: m + k + 1] += slack
+    whitened, _ = dtrtrs(_cholesky(S), whitened, lower=1)
+    X, e = whitened[:, :-1], whitened[:, -1]
+    X[:, :n_f] /= form.force_scale
+    H = X.T @ X
+    H.flat[: n_f * (n_f + k + 1) : n_f + k + 1] += stack.force_weight
+    C, l = stack.contacts.C, stack.contacts.l  # noqa: E741
+    identity, n_x = np.eye(k), len(problem.D)
+    misses = b[stack.layout.n_rows :]
+    bounds = np.zeros((len(l) + 2 * k, n_f + k))
+    bounds[: len(l), :n_f] = C
+    bounds[len(l) : len(l) + k, n_f:] = identity
+    bounds[len(l) + k :, n_f:] = -identity
+    lower = np.concatenate([l, misses[quantities] / unit, misses[n_x + quantities] / unit])
+    return QuadraticProgram(H=H, g=-(X.T @ e), C=bounds, l=lower)
+
+
 @dataclass(frozen=True, slots=True)
 class HeldRows:
     """The optimum with some rows of C held at equality, for any b.
 
-    The multipliers of these rows are λ = `multipliers` b, (k, n_rows). `factor` (k, k) is their
-    block of the Cholesky factor of S.
+    The multipliers of these rows and of the active limits are λ = `multipliers` b, (k, n_rows + …).
+    `factor` (k, k) is their block of the Cholesky factor of S. `D` as in `LeastNorm`.
     """
 
     projector: Projector
     multipliers: np.ndarray
     factor: np.ndarray
+    D: np.ndarray
 
 
-def hold(stack: Stack, problem: LeastNorm, active: np.ndarray) -> HeldRows:
-    """A† with the given rows of C held. Raises `numpy.linalg.LinAlgError` as `condense` does."""
+def hold(
+    stack: Stack, problem: LeastNorm, active: np.ndarray, limits: np.ndarray | None = None
+) -> HeldRows:
+    """A† with the given rows of C, and the given limits, held.
+
+    Raises `numpy.linalg.LinAlgError` as `condense` does.
+    """
     form, rows, m = stack.least_norm_form, problem.rows, len(problem.rows)
     if active.size:
         rows = np.concatenate([rows, form.friction_rows[active]])
+    limits = no_rows() if limits is None else limits
+    k = len(limits)
+    if k:
+        rows = _with_limits(stack, problem, rows, limits)
     B = rows[:, form.z]
-    factor = _cholesky(B @ B.T)
-    multipliers, _ = dpotrs(factor, rows[:, form.b], lower=1)
+    S = B @ B.T
+    if k:
+        n = len(S)
+        S.flat[(n - k) * (n + 1) :: n + 1] += stack.slack[limits % len(problem.D)]
+    factor = _cholesky(S)
+    multipliers, _ = dpotrs(factor, rows[:, form.b.start :], lower=1)
     z = B.T @ multipliers
     n_a, n, n_rows = stack.layout.n_accelerations, stack.layout.n_unknowns, z.shape[1]
     # s₁ + ρ₁: a 1 for each determining row.
@@ -69,20 +136,49 @@ def hold(stack: Stack, problem: LeastNorm, active: np.ndarray) -> HeldRows:
     A_dagger = z[:n]
     A_dagger[:n_a] = problem.T @ A_dagger[:n_a]
     A_dagger[n_a:] *= form.force_scale
-    return HeldRows(Projector(stack.mode, A_dagger, active), multipliers[m:], factor[m:, m:])
+    projector = Projector(stack.mode, A_dagger, active, limits)
+    return HeldRows(projector, multipliers[m:], factor[m:, m:], problem.D)
+
+
+def _with_limits(
+    stack: Stack, problem: LeastNorm, rows: np.ndarray, limits: np.ndarray
+) -> np.ndarray:
+    """The rows (B, Z) and those of active limits, ± D y = their entries of b, new last columns."""
+    form, n_x, k = stack.least_norm_form, len(problem.D), len(limits)
+    signs = np.where(limits < n_x, 1.0, -1.0)[:, np.newaxis]
+    wider = np.zeros((len(rows) + k, rows.shape[1] + k))
+    wider[: len(rows), : rows.shape[1]] = rows
+    wider[len(rows) :, : rows.shape[1]] = signs * problem.limit_rows(form, limits % n_x)
+    wider[len(rows) :, rows.shape[1] :] = np.eye(k)
+    return wider
 
 
 def is_optimal(stack: Stack, held: HeldRows, b: np.ndarray) -> bool:
     """Return whether, by a clear margin, no free row is violated and no held one pulls."""
-    contacts, k = stack.contacts, len(held.factor)
-    f = held.projector.A_dagger[stack.layout.n_accelerations :] @ b
+    contacts, k, n_rows = stack.contacts, len(held.factor), stack.layout.n_rows
+    projector = held.projector
+    y = projector.apply(b)
+    f = y[stack.layout.n_accelerations :]
     free = int(np.count_nonzero(contacts.C @ f - contacts.l > _CLEARLY))
-    if free + k < len(contacts.l) or k == 0:
-        return free == len(contacts.l)
+    limits, misses = projector.limits, _misses(held.D, y, b[n_rows:])
+    free += int(np.count_nonzero(np.delete(misses, limits) < -_CLEARLY))
+    n_inequalities = len(contacts.l) + len(misses)
+    if free + k < n_inequalities or k == 0:
+        return free == n_inequalities
     inverse, _ = dtrtri(held.factor, lower=1)
     # The violation of each row if it alone were released: λᵢ over (S⁻¹)ᵢᵢ.
-    released = held.multipliers @ b / np.square(inverse).sum(axis=0)
+    b_held = np.concatenate([b[:n_rows], b[n_rows + limits]]) if len(limits) else b[:n_rows]
+    released = held.multipliers @ b_held / np.square(inverse).sum(axis=0)
     return bool((released > _CLEARLY).all())
+
+
+def _misses(D: np.ndarray, y: np.ndarray, of_b: np.ndarray) -> np.ndarray:
+    """The distances of the limited quantities at y beyond their bounds, from those at y = 0."""
+    if not len(of_b):
+        return of_b
+    x = D @ y
+    misses: np.ndarray = of_b + np.concatenate([-x, x])
+    return misses
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,40 +200,84 @@ def solve(
     *,
     solver: QpSolver,
     likely_active: np.ndarray | None = None,
+    likely_limits: np.ndarray | None = None,
 ) -> WholeBodySolution:
     """Find the optimal active set at one state and the projector of that set.
 
-    `likely_active`, as of the last state, saves the solver if it proves to be optimal. Never
-    raises: a problem that cannot be solved comes back with the name of what went wrong.
+    `likely_active` and `likely_limits`, as of the last state, save the solver if they prove to be
+    optimal. Limits enter the QP when its solution without them is beyond them. Never raises: a
+    problem that cannot be solved comes back with the name of what went wrong.
     """
+    iterations = 0
     try:
         problem = stack.least_norm(matrices)
+        quantities = no_rows()
         if likely_active is not None:
-            held = hold(stack, problem, likely_active)
+            held = hold(stack, problem, likely_active, likely_limits)
             if is_optimal(stack, held, b):
                 return WholeBodySolution(QpStatus.SOLVED, held.projector, 0)
-        solution = solver.solve(condense(stack, problem, b))
-        if solution.status is not QpStatus.SOLVED:
-            return WholeBodySolution(solution.status, None, solution.iterations)
-        projector = hold(stack, problem, solution.active).projector
+        if likely_limits is not None and len(likely_limits):
+            quantities = np.unique(likely_limits % len(problem.D))
+        for _ in range(_MAX_ROUNDS):
+            solution = solver.solve(condense(stack, problem, b, quantities))
+            iterations += solution.iterations
+            if solution.status is not QpStatus.SOLVED:
+                return WholeBodySolution(solution.status, None, iterations)
+            projector = hold(
+                stack, problem, *_active_sets(stack, problem, solution.active, quantities)
+            ).projector
+            beyond = _quantities_beyond(stack, problem, projector, b)
+            if np.isin(beyond, quantities).all():
+                return WholeBodySolution(QpStatus.SOLVED, projector, iterations)
+            quantities = np.union1d(quantities, beyond)
     except np.linalg.LinAlgError:
         return WholeBodySolution(QpStatus.NOT_FINITE, None, 0)
-    return WholeBodySolution(solution.status, projector, solution.iterations)
+    return WholeBodySolution(QpStatus.ITERATION_LIMIT, None, iterations)
+
+
+def _active_sets(
+    stack: Stack, problem: LeastNorm, active: np.ndarray, quantities: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The active rows of C, and the active limits, of a solution of the QP in (f, t)."""
+    first = len(stack.contacts.l)
+    bounds = active[active >= first] - first
+    k, n_x = len(quantities), len(problem.D)
+    lower, upper = bounds[bounds < k], bounds[bounds >= k] - k
+    limits = np.concatenate([quantities[lower], n_x + quantities[upper]])
+    return active[active < first], limits
+
+
+def _quantities_beyond(
+    stack: Stack, problem: LeastNorm, projector: Projector, b: np.ndarray
+) -> np.ndarray:
+    """The limited quantities that are beyond a bound at the projector's solution."""
+    misses = _misses(problem.D, projector.apply(b), b[stack.layout.n_rows :])
+    return np.flatnonzero((misses.reshape(2, -1) > _BEYOND).any(axis=0))
 
 
 def full_problem(stack: Stack, matrices: StackMatrices, b: np.ndarray) -> QuadraticProgram:
-    """The QP of Eq. (2) in y = (a, f), not condensed: the reference of tests and benchmarks."""
+    """The QP of Eq. (2) in y = (a, f), not condensed: the reference of tests and benchmarks.
+
+    With limits, their violations (n_x,) follow y.
+    """
     n_a, n_f = stack.layout.n_accelerations, stack.layout.n_forces
-    H = np.zeros((n_a + n_f, n_a + n_f))
+    n, n_x = n_a + n_f, len(matrices.D)
+    size = n + n_x
+    H = np.zeros((size, size))
     H[:n_a, :n_a] = matrices.A.T @ matrices.A
-    H[n_a:, n_a:] = stack.force_weight * np.eye(n_f)
-    g = np.zeros(n_a + n_f)
+    H[n_a:n, n_a:n] = stack.force_weight * np.eye(n_f)
+    H[n:, n:] = np.diag(1.0 / stack.slack)
+    g = np.zeros(size)
     g[:n_a] = -matrices.A.T @ b[stack.task_rows]
-    E = np.zeros((matrices.E_a.shape[0], n_a + n_f))
+    E = np.zeros((matrices.E_a.shape[0], size))
     E[:, :n_a] = matrices.E_a
-    E[:N_DYNAMICS, n_a:] = matrices.E_f
-    C = np.hstack([np.zeros((stack.contacts.C.shape[0], n_a)), stack.contacts.C])
-    return QuadraticProgram(H=H, g=g, C=C, l=stack.contacts.l, E=E, e=b[stack.equality_rows])
+    E[:N_DYNAMICS, n_a:n] = matrices.E_f
+    C = np.zeros((len(stack.contacts.l) + 2 * n_x, size))
+    C[: len(stack.contacts.l), n_a:n] = stack.contacts.C
+    limited = np.hstack([matrices.D, np.eye(n_x)])
+    C[len(stack.contacts.l) :] = np.vstack([limited, -limited])
+    l = np.concatenate([stack.contacts.l, b[stack.layout.n_rows :]])  # noqa: E741
+    return QuadraticProgram(H=H, g=g, C=C, l=l, E=E, e=b[stack.equality_rows])
 
 
 def _cholesky(matrix: np.ndarray) -> np.ndarray:

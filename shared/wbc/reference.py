@@ -30,7 +30,8 @@ class Reference:
     """The target of the tasks at one instant.
 
     `com`, `com_velocity`, `com_acceleration` (3,) in the world; `world_from_base` (3, 3); `posture`
-    (nv − 6,) joint positions [rad]; `mode` the planned contact mode.
+    (nv − 6,) joint positions [rad]; `mode` the planned contact mode. `com_command` (2,) is the
+    acceleration in the plane that a balance law asks of the CoM, instead of the task's feedback.
     """
 
     com: np.ndarray
@@ -40,6 +41,7 @@ class Reference:
     posture: np.ndarray
     mode: ContactMode
     swing: SwingState | None = None
+    com_command: np.ndarray | None = None
 
 
 class Motion(Protocol):

@@ -7,7 +7,8 @@ The robot asks it for `right_hand_side` (b: cheap, every millisecond); the edge 
     (single support) | bounds 1
 
 Force regularisation targets zero and needs no row. The bounds of active inequality rows are
-constant, so `bounds` is a single entry, always 1: a projector's last column holds their effect.
+constant, so `bounds` is a single entry, always 1: one column of a projector holds their effect.
+The entries of the robot's own limits follow the rows of the layout, see `limits`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from shared.wbc.contacts import (
     contact_geometry,
 )
 from shared.wbc.least_norm import LeastNorm, LeastNormForm
+from shared.wbc.limits import Limits
 from shared.wbc.model import Jacobians, Kinematics, RowMultipliers, WholeBodyModel
 from shared.wbc.reference import Reference
 from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, SwingFootTask, Task
@@ -72,21 +74,27 @@ class StackMatrices:
     """The matrices of the QP at one configuration; friction rows live in `ContactGeometry`.
 
     Equalities `E_a a + E_f f = e`, E_a (6 + 6 n_c, nv), E_f (6, n_f) for the dynamics rows only
-    (contact rows do not touch f); tasks `A a ≈ s`, A (n_t, nv), already √ω-weighted.
+    (contact rows do not touch f); tasks `A a ≈ s`, A (n_t, nv), already √ω-weighted; limited
+    quantities `D y + x₀`, D (n_x, n), (0, n) without limits.
     """
 
     E_a: np.ndarray
     E_f: np.ndarray
     A: np.ndarray
+    D: np.ndarray
 
 
 class Stack:
     """Rows of the whole-body QP of one robot in one contact mode."""
 
-    def __init__(self, robot: Robot, config: WbcConfig, mode: ContactMode) -> None:
+    def __init__(
+        self, robot: Robot, config: WbcConfig, mode: ContactMode, limits: Limits | None = None
+    ) -> None:
         nv = robot.model.nv
         gains, weights = config.gains, config.weights
         self.mode = mode
+        self.limits = limits
+        self.slack = np.empty(0) if limits is None else limits.slack
         self.contacts: ContactGeometry = contact_geometry(
             robot.description,
             mode,
@@ -118,6 +126,7 @@ class Stack:
         )
         self._weighted_tasks = [(task, math.sqrt(task.weight), task.size) for task in self.tasks]
         self._n_rows = self.layout.n_rows
+        self._n_b = self._n_rows + (0 if limits is None else limits.n_entries)
         self._n_equalities = N_DYNAMICS + ROWS_PER_CONTACT * len(mode.feet)
         task_rows = sum(task.size for task in self.tasks)
         varying = [np.full(task.size, not task.constant) for task in self.tasks]
@@ -149,7 +158,7 @@ class Stack:
     def _constant_task_rows(self) -> np.ndarray:
         """A with zeros where it depends on the configuration, (n_t, nv)."""
         nv = self.layout.n_accelerations
-        anywhere = Jacobians(np.zeros((6, nv)), {}, np.zeros((3, nv)))
+        anywhere = Jacobians(np.zeros((6, nv)), np.zeros((nv - 6, nv)), {}, np.zeros((3, nv)))
         return np.concatenate(
             [
                 sqrt_weight * task.jacobian(anywhere) if task.constant else np.zeros((size, nv))
@@ -170,13 +179,14 @@ class Stack:
         return model.kinematics(q, v, y[:n_a], self.contacts.wrenches(y[n_a:]))
 
     def right_hand_side(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
-        """b of Eq. (6), shape (layout.n_rows,).
+        """b of Eq. (6), shape (layout.n_rows,), longer with limits.
 
         Dynamics rows −h_u [N, N m]; contact rows −J̇ v − kd J v [m/s², rad/s²]; task rows
-        √ω (s̈* − J̇ v); a final 1. With `kinematics_at` a solution y it is the residual of every row
-        at y instead: e − E y, √ω (s̈* − J̇ v − J a).
+        √ω (s̈* − J̇ v); a 1. With `kinematics_at` a solution y it is the residual of every row at y
+        instead: e − E y, √ω (s̈* − J̇ v − J a). With limits, their entries follow: how far each
+        quantity is beyond its lower, then beyond its upper bound, see `Limits`.
         """
-        b = np.empty(self._n_rows)
+        b = np.empty(self._n_b)
         np.negative(kinematics.force[:N_DYNAMICS], b[:N_DYNAMICS])
         for foot, rows in self._contact_rows:
             of_contact = b[rows]
@@ -184,7 +194,9 @@ class Stack:
             of_contact -= kinematics.sole_acceleration[foot]
         for task, rows in self._rows_of_tasks:
             task.write_target(b[rows], kinematics, reference)
-        b[-1] = 1.0
+        b[self._n_rows - 1] = 1.0
+        if self.limits is not None:
+            self.limits.write_misses(b[self._n_rows :], kinematics)
         return b
 
     def add_task_multipliers(self, residual: np.ndarray, multipliers: RowMultipliers) -> None:
@@ -195,7 +207,7 @@ class Stack:
             row += size
 
     def matrices(self, jacobians: Jacobians) -> StackMatrices:
-        """E_a, E_f and A of Eq. (5) at one configuration."""
+        """E_a, E_f, A of Eq. (5) and D at one configuration."""
         soles = [jacobians.J_sole[foot] for foot in self.mode.feet]
         E_f = np.empty((N_DYNAMICS, self.layout.n_forces))
         for k, (J, minus_G) in enumerate(zip(soles, self._minus_wrench_maps, strict=True)):
@@ -204,11 +216,33 @@ class Stack:
         A = self.constant_task_rows.copy()
         for task, sqrt_weight, rows in self._varying_tasks:
             np.multiply(task.jacobian(jacobians), sqrt_weight, out=A[rows])
-        return StackMatrices(np.concatenate([jacobians.M_unactuated, *soles]), E_f, A)
+        E_a = np.concatenate([jacobians.M_unactuated, *soles])
+        return StackMatrices(E_a, E_f, A, self.limit_rows(jacobians))
 
     def least_norm(self, matrices: StackMatrices) -> LeastNorm:
         """The same QP as a search for the shortest vector, friction rows left out."""
-        return self.least_norm_form.at(matrices.E_a, matrices.E_f, matrices.A)
+        return self.least_norm_form.at(matrices.E_a, matrices.E_f, matrices.A, matrices.D)
+
+    def limit_rows(self, jacobians: Jacobians) -> np.ndarray:
+        """D of the limited quantities x = D y + x₀, (n_x, n): torques, then joint accelerations.
+
+        Without limits (0, n).
+        """
+        n_a, n = self.layout.n_accelerations, self.layout.n_unknowns
+        if self.limits is None:
+            return np.zeros((0, n))
+        n_joints = n_a - N_DYNAMICS
+        rows = np.zeros((2 * n_joints, n))
+        torques = rows[:n_joints]
+        torques[:, :n_a] = jacobians.M_actuated
+        for k, (foot, minus_G) in enumerate(
+            zip(self.mode.feet, self._minus_wrench_maps, strict=True)
+        ):
+            forces = slice(n_a + k * FORCES_PER_FOOT, n_a + (k + 1) * FORCES_PER_FOOT)
+            torques[:, forces] = jacobians.J_sole[foot][:, N_DYNAMICS:].T @ minus_G
+        torques *= self.limits.torque_scale[:, np.newaxis]
+        rows[n_joints:, N_DYNAMICS:n_a] = np.eye(n_joints)
+        return rows
 
     @property
     def support_foot(self) -> Foot:
@@ -225,6 +259,8 @@ class Stack:
         return math.sqrt(violation.dot(violation))
 
 
-def make_stacks(robot: Robot, config: WbcConfig) -> dict[ContactMode, Stack]:
+def make_stacks(
+    robot: Robot, config: WbcConfig, limits: Limits | None = None
+) -> dict[ContactMode, Stack]:
     """The stack of every contact mode."""
-    return {mode: Stack(robot, config, mode) for mode in ContactMode}
+    return {mode: Stack(robot, config, mode, limits) for mode in ContactMode}

@@ -85,6 +85,10 @@ class ComTask:
         np.subtract(reference.com, kinematics.com, self._of_position)
         np.subtract(reference.com_velocity, kinematics.com_velocity, self._of_velocity)
         np.subtract(reference.com_acceleration, kinematics.com_acceleration, self._of_acceleration)
+        if reference.com_command is not None:
+            self._error[:2, :2] = 0.0
+            asked = reference.com_command
+            np.subtract(asked, kinematics.com_acceleration[:2], self._of_acceleration[:2])
         # A row times R is Rᵀ times the column: from the world to the base.
         self._gains.dot(self._error).dot(kinematics.world_from_base, rows)
 

@@ -5,13 +5,16 @@ The edge runs it, and so does the robot's on-board computer around a contact swi
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
-from shared.config.settings import WbcConfig
+from shared.config.settings import RunConfig
 from shared.robots import Robot
 from shared.wbc.answer import Factorisation, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
 from shared.wbc.factorisation import factorise_kkt
+from shared.wbc.limits import Limits
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import WholeBodySolution, solve
 from shared.wbc.qp import make_solver
@@ -19,6 +22,9 @@ from shared.wbc.reference import Motion
 from shared.wbc.stack import make_stacks
 
 FOR_EVER_NS = 2**62
+
+# The active rows of C, and the active limits.
+ActiveSet = tuple[np.ndarray, np.ndarray]
 
 
 class WholeBodyController:
@@ -28,26 +34,44 @@ class WholeBodyController:
     several robots gives each its own.
     """
 
-    def __init__(self, robot: Robot, config: WbcConfig, motion: Motion) -> None:
+    def __init__(self, robot: Robot, config: RunConfig, motion: Motion) -> None:
         self.model = WholeBodyModel(robot)
-        self.stacks = make_stacks(robot, config)
+        self.stacks = make_stacks(robot, config.wbc, Limits.of(robot, config))
         self._motion = motion
-        self._solver = make_solver(config.solver)
-        self.last_active: dict[ContactMode, np.ndarray] = {}
+        self._solver = make_solver(config.wbc.solver)
+        self.last_active: dict[ContactMode, ActiveSet] = {}
 
     def solve(
-        self, q: np.ndarray, v: np.ndarray, *, time_ns: int, mode: ContactMode
+        self,
+        q: np.ndarray,
+        v: np.ndarray,
+        *,
+        time_ns: int,
+        mode: ContactMode,
+        com_command: np.ndarray | None = None,
     ) -> tuple[WholeBodySolution, np.ndarray]:
-        """Solution at (q, v) for a contact mode and the reference of `time_ns`; and its b."""
+        """Solution at (q, v) for a contact mode and the reference of `time_ns`; and its b.
+
+        `com_command` is that of the robot's balance law, see `Reference`.
+        """
         stack = self.stacks[mode]
         kinematics = self.model.kinematics(q, v)
-        b = stack.right_hand_side(kinematics, self._motion.reference(time_ns))
+        reference = self._motion.reference(time_ns)
+        if com_command is not None:
+            reference = dataclasses.replace(reference, com_command=com_command)
+        b = stack.right_hand_side(kinematics, reference)
         matrices = stack.matrices(self.model.jacobians(q))
+        rows, limits = self.last_active.get(mode, (None, None))
         solution = solve(
-            stack, matrices, b, solver=self._solver, likely_active=self.last_active.get(mode)
+            stack,
+            matrices,
+            b,
+            solver=self._solver,
+            likely_active=rows,
+            likely_limits=limits,
         )
         if solution.projector is not None:
-            self.last_active[mode] = solution.projector.active
+            self.last_active[mode] = (solution.projector.active, solution.projector.limits)
         return solution, b
 
     def factorise(
@@ -68,14 +92,21 @@ class WholeBodyController:
         switch = self._motion.next_switch(from_ns)
         return TimedProjector(projector, from_ns, FOR_EVER_NS if switch is None else switch)
 
-    def projector_for(self, q: np.ndarray, v: np.ndarray, *, time_ns: int) -> TimedProjector | None:
+    def projector_for(
+        self,
+        q: np.ndarray,
+        v: np.ndarray,
+        *,
+        time_ns: int,
+        com_command: np.ndarray | None = None,
+    ) -> TimedProjector | None:
         """Projector at (q, v) for the reference and contact mode of a task time.
 
         If that time lies beyond a contact switch, the coming mode is imposed on the present state,
         Sec. III-C. None if the QP has no solution.
         """
         mode = self._motion.reference(time_ns).mode
-        solution, _ = self.solve(q, v, time_ns=time_ns, mode=mode)
+        solution, _ = self.solve(q, v, time_ns=time_ns, mode=mode, com_command=com_command)
         if solution.projector is None:
             return None
         return self.timed(solution.projector, from_ns=time_ns)

@@ -12,6 +12,7 @@ the reason.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -25,6 +26,7 @@ from shared.robots import Robot
 from shared.wbc.answer import Factorisation, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
 from shared.wbc.finite import all_finite
+from shared.wbc.limits import Limits
 from shared.wbc.reference import Motion
 from shared.wbc.stack import RowLayout, make_stacks
 from shared.wire.channels import DOWNLINK, UPLINK
@@ -34,6 +36,8 @@ from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotSt
 SCHEMA_VERSION = 2
 _STATE, _PROJECTOR, _FACTORISATION = "state", "projector", "factorisation"
 _MAX_INT = 2**63 - 1
+# With more columns than this a message of double precision would exceed its channel.
+_MAX_DOUBLE_LIMITS = 16
 _SINGLE = np.dtype("<f4")
 _DOUBLE = np.dtype("<f8")
 _DTYPES: dict[str, np.dtype[Any]] = {"float64": _DOUBLE, "float32": _SINGLE}
@@ -67,7 +71,11 @@ class Codec:
             mode: (layout.n_unknowns, layout.n_rows) for mode, layout in self._layouts.items()
         }
         self._layout_digests = {mode: layout.digest for mode, layout in self._layouts.items()}
+        limits = Limits.of(robot, config)
+        self._n_limits = 0 if limits is None else limits.n_entries
         self._n_inequalities = {mode: len(stack.contacts.l) for mode, stack in self._stacks.items()}
+        # Only a robot with a balance law sends its command of the CoM.
+        self._commands_com = config.wbc.balance.law != "com"
         self._state_form = self._make_state_form(None)
         self._holding_form = self._make_state_form([INTEGER] * len(ContactMode))
         self._answer_forms = {
@@ -84,10 +92,15 @@ class Codec:
 
     def rounded(self, projector: Projector) -> Projector:
         """Return the projector as the other end will see it, after the wire's number format."""
-        if self._dtype == projector.A_dagger.dtype:
+        dtype = _DTYPES[self._dtype_of(projector)]
+        if dtype == projector.A_dagger.dtype:
             return projector
-        A_dagger = projector.A_dagger.astype(self._dtype).astype(np.float64)
-        return Projector(mode=projector.mode, A_dagger=A_dagger, active=projector.active)
+        A_dagger = projector.A_dagger.astype(dtype).astype(np.float64)
+        return dataclasses.replace(projector, A_dagger=A_dagger)
+
+    def _dtype_of(self, projector: Projector) -> str:
+        """The number format of a projector: single precision if its limits make it too long."""
+        return self._dtype_name if len(projector.limits) <= _MAX_DOUBLE_LIMITS else "float32"
 
     def encode_state(self, state: RobotState) -> bytes:
         """Encode a `RobotState`, in at most `UPLINK.max_bytes`."""
@@ -101,8 +114,14 @@ class Codec:
             state.mode,
             state.q.tobytes(),
             state.v.tobytes(),
+            *self._com_command_bytes(state),
             *(held_sequences or ()),
         )
+
+    def _com_command_bytes(self, state: RobotState) -> tuple[bytes, ...]:
+        if not self._commands_com:
+            return ()
+        return (b"" if state.com_command is None else state.com_command.tobytes(),)
 
     def decode_state(self, data: bytes) -> RobotState:
         """Decode and check a `RobotState`. Raise `MessageRefused` if a check fails."""
@@ -119,11 +138,12 @@ class Codec:
             q=_array(fields, "q", (self._nq,)),
             v=_array(fields, "v", (self._nv,)),
             held_sequences=_holds(fields),
+            com_command=_array(fields, "com_command", (2,)) if self._commands_com else None,
         )
 
     def encode_projector(self, message: ProjectorMessage) -> bytes:
         """Encode a `ProjectorMessage`. Raise `ConfigError` if it exceeds `DOWNLINK.max_bytes`."""
-        if len(message.projectors) == 1:
+        if len(message.projectors) == 1 and not len(message.projectors[0].projector.limits):
             return self._write_answer(message, message.projectors[0])
         return self._pack(
             _PROJECTOR,
@@ -200,6 +220,7 @@ class Codec:
                 "mode": SMALL,
                 "q": binary(_DOUBLE.itemsize * self._nq),
                 "v": binary(_DOUBLE.itemsize * self._nv),
+                **({"com_command": binary(_DOUBLE.itemsize * 2)} if self._commands_com else {}),
                 "holds": holds,
             }
         )
@@ -217,13 +238,27 @@ class Codec:
             return None
         session, sequence, stamp_ns, time_ns, mode, q_bytes, v_bytes, *holds = values
         q, v = _finite(q_bytes), _finite(v_bytes)
+        com_command = None
+        if self._commands_com:
+            command_bytes, *holds = holds
+            com_command = _finite(command_bytes)
+            if com_command is None:
+                return None
         if mode not in self._layouts or q is None or v is None:
             return None
         if min(session, sequence, stamp_ns, time_ns) < -_MAX_INT or min(holds, default=0) < -1:
             return None
         held_sequences = tuple(holds) if holds else None
         return RobotState(
-            session, sequence, stamp_ns, time_ns, ContactMode(mode), q, v, held_sequences
+            session,
+            sequence,
+            stamp_ns,
+            time_ns,
+            ContactMode(mode),
+            q,
+            v,
+            held_sequences,
+            com_command,
         )
 
     def _make_answer_form(self, layout: RowLayout, dtype_name: str, n_active: int) -> Form:
@@ -304,6 +339,12 @@ class Codec:
             return True
         return rows == sorted(set(rows)) and rows[-1] < self._n_inequalities[mode]
 
+    def _are_limits(self, entries: list[int]) -> bool:
+        """Return whether `entries` ascend and are those of limits in b."""
+        if not entries:
+            return True
+        return entries == sorted(set(entries)) and entries[-1] < self._n_limits
+
     def _factorisation_fields(self, factorisation: Factorisation) -> dict[str, Any]:
         mode = factorisation.mode
         varying = self._stacks[mode].varying_task_rows
@@ -349,9 +390,10 @@ class Codec:
         return {
             "mode": int(projector.mode),
             "layout": self._layout_digests[projector.mode],
-            "dtype": self._dtype_name,
+            "dtype": self._dtype_of(projector),
             "active": projector.active.astype(np.uint8).tobytes(),
-            "A_dagger": projector.A_dagger.astype(self._dtype).tobytes(),
+            **({"limits": bytes(projector.limits.tolist())} if len(projector.limits) else {}),
+            "A_dagger": projector.A_dagger.astype(_DTYPES[self._dtype_of(projector)]).tobytes(),
             "valid_from_ns": timed.valid_from_ns,
             "valid_until_ns": timed.valid_until_ns,
         }
@@ -372,11 +414,18 @@ class Codec:
         rows = list(active)
         if not self._are_active_rows(rows, mode):
             raise MessageRefused("shape", "active")
+        limits = fields.get("limits", b"")
+        if not isinstance(limits, bytes) or not self._are_limits(list(limits)):
+            raise MessageRefused("shape", "limits")
+        n, n_rows = self._shapes[mode]
         return TimedProjector(
             projector=Projector(
                 mode=mode,
-                A_dagger=_array(fields, "A_dagger", self._shapes[mode], dtype=_DTYPES[dtype]),
+                A_dagger=_array(
+                    fields, "A_dagger", (n, n_rows + len(limits)), dtype=_DTYPES[dtype]
+                ),
                 active=np.array(rows, dtype=int),
+                limits=np.array(list(limits), dtype=int),
             ),
             valid_from_ns=_integer(fields, "valid_from_ns"),
             valid_until_ns=_integer(fields, "valid_until_ns"),

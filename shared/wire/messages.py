@@ -22,7 +22,8 @@ class RobotState:
     `stamp_ns` is the robot's clock at the measurement and means nothing elsewhere; `time_ns` is the
     time of the task, from which both ends derive the reference. `q` (nq,), `v` (nv,).
     `held_sequences`: per contact mode, the state whose factorisation the robot has, −1 for none;
-    None for a robot that wants projectors.
+    None for a robot that wants projectors. `com_command` (2,): the acceleration that the robot's
+    balance law asks of the CoM in the plane, None without a law [m/s²].
     """
 
     session: int
@@ -33,6 +34,7 @@ class RobotState:
     q: np.ndarray
     v: np.ndarray
     held_sequences: tuple[int, ...] | None = None
+    com_command: np.ndarray | None = None
 
 
 @dataclass(slots=True)

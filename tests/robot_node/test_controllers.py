@@ -66,7 +66,7 @@ def now(states):
 @pytest.fixture
 def answer(robot, config, motion, now, stack, rng):
     """An answer to the present state: the true projector, with any torque and solution."""
-    controller = WholeBodyController(robot, config.wbc, motion)
+    controller = WholeBodyController(robot, config, motion)
     timed = controller.projector_for(*now, time_ns=0)
     changes = {"session": SESSION, "sequence": 3, "projectors": (timed,)}
     return make_answer(stack, rng, **changes)

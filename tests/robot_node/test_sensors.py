@@ -4,13 +4,22 @@ import numpy as np
 import pytest
 
 from robot_node.sensors import Sensors
+from shared.config.config_file import load_config
 from shared.config.settings import SensorConfig
+from shared.robots import Foot
 
 NOISY = SensorConfig(joint_position_noise=1e-2, joint_velocity_noise=0.1)
 
 
 def readings(sensors, robot, count=5):
     return [sensors.measure(robot.q_standing, np.zeros(37)) for _ in range(count)]
+
+
+def with_error(setting, size):
+    """Exact sensors but for one error."""
+    return load_config(
+        None, {f"sensors.{setting}": size, "sensors.joint_position_noise": 0}
+    ).sensors
 
 
 def same(left, right):
@@ -78,3 +87,64 @@ def test_velocity_noise_does_not_change_the_position_noise(robot):
     one = readings(Sensors(position_only, seed=3), robot)
     for (q_both, _), (q_one, _) in zip(both, one, strict=True):
         np.testing.assert_array_equal(q_both, q_one)
+
+
+def test_the_base_is_exact_unless_an_error_is_asked_for(robot):
+    q, v = Sensors(NOISY, seed=0).measure(robot.q_standing, np.ones(37))
+    np.testing.assert_array_equal(q[:7], robot.q_standing[:7])
+    np.testing.assert_array_equal(v[:6], 1.0)
+
+
+@pytest.mark.parametrize(
+    ("setting", "measured", "size"),
+    [
+        ("base_position_noise", lambda q, v: q[:3], 0.01),
+        ("base_velocity_noise", lambda q, v: v[:3], 0.01),
+        ("tilt_noise", lambda q, v: 2.0 * q[3:6], 0.01),
+        ("gyro_noise", lambda q, v: v[3:6], 0.01),
+    ],
+)
+def test_noise_of_the_base_has_its_standard_deviation(robot, setting, measured, size):
+    sensors = Sensors(with_error(setting, size), seed=0)
+    values = np.array([measured(*each) for each in readings(sensors, robot, 2000)])
+    exact = measured(robot.q_standing, np.zeros(37))
+    np.testing.assert_allclose((values - exact).std(axis=0), size, rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("setting", "measured"),
+    [("tilt_bias", lambda q, v: 2.0 * q[3:6]), ("gyro_bias", lambda q, v: v[3:6])],
+)
+def test_a_bias_stays_the_same_in_a_run_and_differs_between_seeds(robot, setting, measured):
+    config = with_error(setting, 0.01)
+    first, later = (measured(*each) for each in readings(Sensors(config, seed=0), robot, 2))
+    np.testing.assert_array_equal(first, later)
+    other = measured(*readings(Sensors(config, seed=1), robot, 1)[0])
+    assert 0.0 < np.abs(first - other).max() < 0.05
+
+
+def test_drift_grows_as_a_random_walk(robot):
+    config = SensorConfig(base_position_drift=0.1)
+    ends = [
+        readings(Sensors(config, seed=seed), robot, 250)[-1][0][:3] - robot.q_standing[:3]
+        for seed in range(100)
+    ]
+    # 0.1 m in a second is half of it in a quarter.
+    assert np.std(ends) == pytest.approx(0.05, rel=0.2)
+
+
+def test_errors_of_the_base_leave_the_joints_noise_as_it_is(robot):
+    with_base = SensorConfig(joint_position_noise=1e-2, joint_velocity_noise=0.1, gyro_noise=0.1)
+    exact, noisy = (readings(Sensors(each, seed=0), robot) for each in (NOISY, with_base))
+    for (q, v), (q_noisy, v_noisy) in zip(exact, noisy, strict=True):
+        np.testing.assert_array_equal(q[7:], q_noisy[7:])
+        np.testing.assert_array_equal(v[6:], v_noisy[6:])
+
+
+def test_measured_forces_are_the_true_ones_with_noise():
+    true = {foot: np.array([1.0, 2.0, 200.0]) for foot in Foot}
+    exact = Sensors(SensorConfig(), seed=0).forces(true)
+    np.testing.assert_array_equal(exact[Foot.LEFT], true[Foot.LEFT])
+    sensors = Sensors(SensorConfig(force_noise=3.0), seed=0)
+    noise = np.array([sensors.forces(true)[Foot.RIGHT] for _ in range(1000)]) - true[Foot.RIGHT]
+    np.testing.assert_allclose(noise.std(axis=0), 3.0, rtol=0.1)

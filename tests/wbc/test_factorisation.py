@@ -79,7 +79,7 @@ def test_dependent_rows_cannot_be_factorised(bench, states):
 def test_the_controller_gives_the_modes_asked_for_or_none_of_them(
     robot, config, motion, model, stacks, states
 ):
-    controller = WholeBodyController(robot, config.wbc, motion)
+    controller = WholeBodyController(robot, config, motion)
     q = states[0].q
     made = controller.factorise(q, (LEFT, DOUBLE), damping=0.05)
     assert [each.mode for each in made] == [LEFT, DOUBLE]

@@ -1,0 +1,76 @@
+"""Pushes that the robot stands because its QP knows its limits, and the measured forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiments.lockstep import Lockstep
+from shared.config.config_file import load_config
+
+ITS_LIMITS = {
+    "plant.joint_limits": True,
+    "plant.leg_collision": True,
+    "wbc.limits.torque": True,
+    "wbc.limits.position": True,
+    "wbc.balance.law": "dcm",
+    "wbc.weights.com": 10.0,
+}
+
+
+def play(**settings):
+    config = load_config(None, {"view": "off", **settings})
+    return Lockstep(config, all_active_sets=False).run()
+
+
+@pytest.mark.parametrize("controller", ["lc", "la", "pr"])
+def test_with_its_limits_the_robot_stands_a_push_forward(controller):
+    """100 N for 0.2 s, from which the default settings do not recover."""
+    settings = {
+        "push": ["100N@0.2s:0.2s:+x"],
+        "controller": controller,
+        "link.network": "constant:0ms",
+    }
+    result = play(**settings, **ITS_LIMITS, duration=1.5)
+    assert not result.summary["fell"]
+    assert result.summary["saturated_ticks"] == 0
+    assert result.summary["joint_beyond_rad"] < 0.0
+    # At rest again, over its feet.
+    assert np.abs(result.schema.column(result.rows, "com")[-1] - [0.03, 0.0, 0.66]).max() < 0.05
+
+
+def test_with_its_limits_lc_stands_a_diagonal_push_on_a_dead_link():
+    result = play(
+        **ITS_LIMITS,
+        **{
+            "push": ["130N@0.2s:0.2s:+x-y"],
+            "controller": "lc",
+            "link.network": "constant:10ms",
+            "link.outage": ["cut@50ms"],
+            "duration": 1.5,
+        },
+    )
+    assert not result.summary["fell"]
+    assert result.summary["saturated_ticks"] == 0
+
+
+@pytest.mark.parametrize("kind", ["mujoco", "rigid"])
+def test_the_measured_forces_carry_the_robot(kind, robot):
+    result = play(
+        **{
+            "plant.kind": kind,
+            "push": [],
+            "duration": 0.3,
+            "sensors.measure_forces": True,
+            "link.network": "constant:0ms",
+        }
+    )
+    forces = result.schema.column(result.rows, "contact_force_n")[-50:].mean(axis=0)
+    assert forces[2] + forces[5] == pytest.approx(9.81 * robot.mass, rel=0.02)
+    assert min(forces[2], forces[5]) > 0.4 * 9.81 * robot.mass
+    assert np.abs(forces[[0, 3]]).max() < 30.0
+
+
+def test_forces_are_not_measured_by_default():
+    result = play(push=[], duration=0.05)
+    assert np.isnan(result.schema.column(result.rows, "contact_force_n")).all()
