@@ -340,6 +340,12 @@ def test_pushes_and_outages_are_read_once_and_are_no_part_of_the_settings():
         ("60N@0s:1s:-x", (-60.0, 0.0, 0.0), 0, 1000 * MS),
         (" 7.5N@.5s:2.s:-z ", (0.0, 0.0, -7.5), 500 * MS, 2000 * MS),
         ("0N@0.0000001s:0s:+x", (0.0, 0.0, 0.0), 100, 0),
+        (
+            "50N@1s:1s:-x+y",
+            (-50.0 / math.sqrt(2.0), 50.0 / math.sqrt(2.0), 0.0),
+            1000 * MS,
+            1000 * MS,
+        ),
     ],
 )
 def test_a_push_is_read_with_its_direction_and_times(text, force, start_ns, duration_ns):
@@ -365,6 +371,8 @@ def test_a_push_acts_from_its_start_until_before_its_end():
         "100N@1.0s:0.2s",
         "100N@1.0s:0.2s:y",
         "100N@1.0s:0.2s:+w",
+        "100N@1.0s:0.2s:+y+x",
+        "100N@1.0s:0.2s:+x+z",
         "-100N@1.0s:0.2s:+y",
         "100N@1.0:0.2:+y",
         "100 N@1.0s:0.2s:+y",

@@ -100,3 +100,34 @@ def test_corrections_come_with_their_command_and_versions(tmp_path):
     text = (tmp_path / "corrections.md").read_text()
     assert "./wbc corrections --states 2 --seed 0" in text
     assert text.count("support |") == 14
+
+
+PUSHES = """
+seeds = 1
+
+[base]
+duration = 0.03
+link.network = "constant:0ms"
+
+[grid]
+push = [["10N@0s:0.01s:+x"], ["20N@0s:0.01s:-x+y"]]
+"""
+
+
+def test_pushes_are_drawn_at_their_force_in_their_direction(figure, tmp_path, monkeypatch):
+    (tmp_path / "pushes.toml").write_text(PUSHES)
+    sweep(read_study(tmp_path / "pushes.toml"), out=tmp_path / "out")
+    drawn = []
+    monkeypatch.setattr(
+        "matplotlib.projections.polar.PolarAxes.scatter",
+        lambda axis, angle, radius, **_: drawn.append((angle, radius)),
+    )
+    out = tmp_path / "polar.png"
+    assert figure(tmp_path / "out", "--x", "push", "--polar", "--out", out) == 0
+    assert out.read_bytes().startswith(PNG)
+    np.testing.assert_allclose(drawn, [(0.0, 10.0), (0.75 * np.pi, 20.0)])
+
+
+def test_a_polar_figure_of_another_setting_is_refused(finished, figure, tmp_path):
+    with pytest.raises(ConfigError, match=r"expected --x push with --polar, got 'controller'"):
+        figure(finished, "--x", "controller", "--polar", "--out", tmp_path / "no.png")

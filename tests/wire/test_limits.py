@@ -79,7 +79,8 @@ def test_another_command_is_refused(balancing, robot, command):
     assert refused.value.reason in ("shape", "not_finite")
 
 
-def test_without_a_law_a_state_has_no_command(codec, robot):
+def test_without_a_law_a_state_has_no_command(robot, config, motion):
+    codec = Codec(robot, config, motion)
     data = codec.encode_state(make_state(robot, com_command=np.zeros(2)))
     assert b"com_command" not in data
     assert codec.decode_state(data).com_command is None
