@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import dataclasses
 import errno
+import itertools
 import socket
 import time
 from pathlib import Path
@@ -140,7 +142,8 @@ def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) 
         controller = CONTROLLERS.label(config.controller).lower()
         what = f"{TASKS.label(config.task)}-{controller}-{network}"
         stamp = time.strftime("%Y%m%d-%H%M%S")
-        out = Path("runs") / f"{stamp}-{what if ROBOT in services else '-'.join(services)}"
+        name = f"{stamp}-{what if ROBOT in services else '-'.join(services)}"
+        out = _new_folder(Path("runs") / name)
     with writing(out, what="out"):
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
@@ -148,6 +151,18 @@ def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) 
         text = dump_config(config, versions=versions())
         (out / "config.toml").write_text(text, encoding="utf-8")
     return out
+
+
+def _new_folder(path: Path) -> Path:
+    """Make a folder of this name, or of the name with -2, -3, … if another run has it."""
+    for number in itertools.count(1):
+        folder = path if number == 1 else path.with_name(f"{path.name}-{number}")
+        with writing(folder, what="out"):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(FileExistsError):
+                folder.mkdir()
+                return folder
+    raise AssertionError
 
 
 def _check_port(plan: Plan) -> None:

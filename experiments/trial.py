@@ -5,17 +5,22 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from pathlib import Path
 
 from experiments.lockstep import Lockstep, TrialResult
 from shared.config.config_file import dump_config
 from shared.config.settings import RunConfig
-from shared.errors import writing
+from shared.errors import ConfigError, writing
+from shared.output.screen import StatusLine
 from shared.output.summary import summary_in_words
 from shared.output.versions import versions
 from shared.process.cli import EXIT_FELL, EXIT_STANDING, add_run_arguments, config_from
 from shared.telemetry.parquet import write_parquet
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA
+
+# A shorter trial has no line of progress.
+_QUIET_SECONDS = 2.0
 
 
 def add_trial_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,28 +30,56 @@ def add_trial_arguments(parser: argparse.ArgumentParser) -> None:
         "--json", metavar="FILE", help="write the summary as JSON; - prints it, and nothing else"
     )
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for the run's files")
+    parser.add_argument(
+        "--force", action="store_true", help="replace files that --out or --json have already"
+    )
 
 
 def run_trial(arguments: argparse.Namespace) -> int:
     """Play one trial. Return 0 if the robot stood, 3 if it fell."""
     config = config_from(arguments)
-    if arguments.out is not None:
-        with writing(arguments.out, what="out"):
-            arguments.out.mkdir(parents=True, exist_ok=True)
-    result = Lockstep(config).run()
+    out: Path | None = arguments.out
+    json_file = Path(arguments.json) if arguments.json not in (None, "-") else None
+    _check_free(out, json_file, force=arguments.force)
+    if out is not None:
+        with writing(out, what="out"):
+            out.mkdir(parents=True, exist_ok=True)
+    trial = Lockstep(config)
+    begun = time.monotonic()
+
+    def progress() -> str:
+        played = trial.robot.time_ns * 1e-9
+        rate = played / (time.monotonic() - begun)
+        return f"played {played:.1f} of {config.duration:g} s, {rate:.2g} × real time"
+
+    with StatusLine(progress, stream=sys.stderr, quiet=_QUIET_SECONDS):
+        result = trial.run()
     text = json.dumps(result.summary, indent=2) + "\n"
     # First, because a full disk should not hide the outcome.
     if arguments.json == "-":
         sys.stdout.write(text)
     else:
         print(summary_in_words(result.summary))
-    if arguments.json not in (None, "-"):
-        with writing(Path(arguments.json), what="json"):
-            Path(arguments.json).write_text(text, encoding="utf-8")
-    if arguments.out is not None:
-        with writing(arguments.out, what="out"):
-            write_run(arguments.out, config, result)
+        print("  no files; --out DIR keeps them" if out is None else f"  files: {out}")
+    if json_file is not None:
+        with writing(json_file, what="json"):
+            json_file.write_text(text, encoding="utf-8")
+    if out is not None:
+        with writing(out, what="out"):
+            write_run(out, config, result)
     return EXIT_FELL if result.summary["fell"] else EXIT_STANDING
+
+
+def _check_free(out: Path | None, json_file: Path | None, *, force: bool) -> None:
+    """Raise a `ConfigError` if files of another run would be replaced without --force."""
+    if force:
+        return
+    if out is not None and out.is_dir() and any(out.iterdir()):
+        raise ConfigError(
+            f"out: expected a new or empty folder, {out} has files in it; try another, or --force"
+        )
+    if json_file is not None and json_file.is_file():
+        raise ConfigError(f"json: expected a new file, {json_file} exists; try another, or --force")
 
 
 def write_run(out: Path, config: RunConfig, result: TrialResult) -> None:

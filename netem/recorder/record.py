@@ -9,6 +9,7 @@ evaluation.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -26,13 +27,14 @@ from netem.recorder.record_loops import (
     FarLoop,
     NearLoop,
 )
-from netem.recorder.record_report import StatusLine, say, summary_lines
+from netem.recorder.record_report import progress_in_words, say, summary_lines
 from netem.recorder.recording import Recorded, estimate_clock, reconstruct
 from shared.bus.base import new_session
 from shared.bus.security import EDGE, Credentials
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.settings import RobotConfig
 from shared.errors import ConfigError, LinkError, ProfileError
+from shared.output.screen import StatusLine
 from shared.process.cli import EXIT_STANDING
 from shared.process.entry import EXIT_INTERRUPTED
 from shared.process.realtime import prepare, suspend_garbage_collection
@@ -114,7 +116,8 @@ def _run_near(arguments: argparse.Namespace) -> int:
             f"recording {seconds:g} s to {out}: {1e9 / settings.period_ns:g} messages a second, "
             f"{settings.uplink_bytes} B up, {settings.downlink_bytes} B down; Ctrl-C ends it early"
         )
-        with StatusLine(loop, seconds=seconds):
+        loop.left_seconds = seconds
+        with StatusLine(lambda: progress_in_words(loop), stream=sys.stdout):
             start_ns, end_ns = loop.measure(seconds=seconds, stopping=lambda: stop.requested)
         early = stop.requested
         # A second signal ends the wait for the last stamps.

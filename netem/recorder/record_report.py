@@ -1,9 +1,7 @@
-"""Printed output of a recording: a status line while it runs, and a summary."""
+"""Printed output of a recording: its progress while it runs, and a summary."""
 
 from __future__ import annotations
 
-import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,10 +10,6 @@ import numpy as np
 from netem.profile import DIRECTIONS, LOST
 from netem.recorder.record_loops import NearLoop
 from netem.recorder.recording import Recorded
-from shared.output.screen import rewrites_lines
-
-_CLEAR_LINE = "\r\033[2K"
-_TERMINAL_SECONDS, _PLAIN_SECONDS = 0.25, 5.0
 
 
 def say(line: str) -> None:
@@ -23,38 +17,14 @@ def say(line: str) -> None:
     print(line, flush=True)
 
 
-class StatusLine:
-    """A thread that prints time left, delays and losses: in place on a terminal, else every 5 s."""
-
-    def __init__(self, loop: NearLoop, *, seconds: float) -> None:
-        self._loop = loop
-        self._loop.left_seconds = seconds
-        self._live = rewrites_lines(sys.stdout)
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="status", daemon=True)
-
-    def __enter__(self) -> StatusLine:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._done.set()
-        self._thread.join(timeout=1.0)
-        if self._live:
-            print(_CLEAR_LINE, end="", flush=True)
-
-    def _watch(self) -> None:
-        start, end = (_CLEAR_LINE, "") if self._live else ("", "\n")
-        while not self._done.wait(_TERMINAL_SECONDS if self._live else _PLAIN_SECONDS):
-            print(f"{start}{self._line()}", end=end, flush=True)
-
-    def _line(self) -> str:
-        now = self._loop.near.progress
-        return (
-            f"{max(0.0, self._loop.left_seconds):5.1f} s left: up {now.uplink_ns * 1e-6:.2f} ms, "
-            f"down {now.downlink_ns * 1e-6:.2f} ms, lost or late {now.uplink_lost} up, "
-            f"{now.downlink_lost} down"
-        )
+def progress_in_words(loop: NearLoop) -> str:
+    """Return the time left, and the delays and losses at present, as one line."""
+    now = loop.near.progress
+    return (
+        f"{max(0.0, loop.left_seconds):5.1f} s left: up {now.uplink_ns * 1e-6:.2f} ms, "
+        f"down {now.downlink_ns * 1e-6:.2f} ms, lost or late {now.uplink_lost} up, "
+        f"{now.downlink_lost} down"
+    )
 
 
 def summary_lines(recorded: Recorded, path: Path) -> Iterator[str]:

@@ -9,6 +9,7 @@ import pytest
 from deploy.keys import make
 from deploy.plan import Options, Plan, check_credentials, make_plan, services_of
 from deploy.services import load_services
+from deploy.up import _new_folder
 from shared.errors import ConfigError, LinkError
 
 TLS = "tls/edge.example.org:7460"
@@ -178,3 +179,8 @@ def test_a_certificate_that_is_missing_is_named_before_anything_starts(tmp_path)
     (tmp_path / "netem.key").unlink()
     with pytest.raises(ConfigError, match=r"has no netem\.key"):
         check_credentials(plan, robot="amy")
+
+
+def test_two_runs_of_one_second_have_two_folders(tmp_path):
+    names = [_new_folder(tmp_path / "runs" / "20261130-120000-balance").name for _ in range(3)]
+    assert names == [f"20261130-120000-balance{end}" for end in ("", "-2", "-3")]

@@ -1,12 +1,14 @@
-"""Where a window can open."""
+"""Where a window can open, and the line of status."""
 
 from __future__ import annotations
 
+import io
 import sys
+import threading
 
 import pytest
 
-from shared.output.screen import has_screen, rewrites_lines
+from shared.output.screen import StatusLine, has_screen, rewrites_lines
 
 
 @pytest.mark.parametrize("name", ["DISPLAY", "WAYLAND_DISPLAY"])
@@ -34,3 +36,49 @@ def test_a_line_is_rewritten_on_a_terminal_that_can(monkeypatch, terminal, kind,
     monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
     monkeypatch.setenv("TERM", kind)
     assert rewrites_lines(sys.stdout) == expected
+
+
+class _Stream(io.StringIO):
+    """A stream that tells when something was written, and may be a terminal or closed."""
+
+    def __init__(self, *, terminal=True, broken=False):
+        super().__init__()
+        self.terminal, self.broken = terminal, broken
+        self.tried = threading.Event()
+
+    def isatty(self):
+        return self.terminal
+
+    def write(self, text):
+        self.tried.set()
+        if self.broken:
+            raise BrokenPipeError
+        return super().write(text)
+
+
+def test_the_line_of_status_is_cleared_at_the_end(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    stream = _Stream()
+    with StatusLine(lambda: "half", stream=stream):
+        assert stream.tried.wait(60.0)
+    assert "half" in stream.getvalue()
+    assert stream.getvalue().endswith("\r\033[2K")
+
+
+def test_work_that_ends_at_once_has_no_line_of_status(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    stream = _Stream()
+    with StatusLine(lambda: "half", stream=stream, quiet=3600.0):
+        pass
+    assert stream.getvalue() == ""
+
+
+def test_a_stream_that_cannot_be_written_ends_nothing(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    stream = _Stream(broken=True)
+    status = StatusLine(lambda: "half", stream=stream)
+    with status:
+        assert stream.tried.wait(60.0)
+        status._thread.join(60.0)
+        assert not status._thread.is_alive()
+        stream.broken = False
