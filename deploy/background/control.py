@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import json
 import os
 import signal
 import sys
@@ -39,14 +40,24 @@ _PATIENCE_SECONDS = 120.0
 Found = list[tuple[StackFolder, StackState]]
 
 
-def add_ps_arguments(parser: argparse.ArgumentParser) -> None:
+def _add_stack_arguments(parser: argparse.ArgumentParser) -> None:
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--name", type=robot_name, help="only the stack of the robot with this name")
     which.add_argument("--run", metavar="DIR", type=Path, help="the stack of this run's folder")
 
 
+def add_ps_arguments(parser: argparse.ArgumentParser) -> None:
+    _add_stack_arguments(parser)
+    parser.add_argument(
+        "--format",
+        choices=("text", "json"),
+        default="text",
+        help="json: a list of stacks, each with its run folder, and whether it is alive",
+    )
+
+
 def add_down_arguments(parser: argparse.ArgumentParser) -> None:
-    add_ps_arguments(parser)
+    _add_stack_arguments(parser)
 
 
 def add_logs_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,12 +67,12 @@ def add_logs_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "service", nargs="?", metavar="SERVICE", help="print only the output of this service"
     )
-    add_ps_arguments(parser)
+    _add_stack_arguments(parser)
 
 
 def add_restart_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("service", metavar="SERVICE")
-    add_ps_arguments(parser)
+    _add_stack_arguments(parser)
 
 
 def _stacks(arguments: argparse.Namespace) -> Found:
@@ -123,6 +134,13 @@ def _ended(stack: StackFolder, state: StackState) -> StackState:
 def run_ps(arguments: argparse.Namespace) -> int:
     """Print every stack that runs and its services; if none runs, how the last one ended."""
     found = [(stack, _ended(stack, state)) for stack, state in _stacks(arguments)]
+    if arguments.format == "json":
+        stacks = [
+            {"run": str(stack.run), "alive": stack.alive, **dataclasses.asdict(state)}
+            for stack, state in found
+        ]
+        print(json.dumps(stacks, indent=2))
+        return EXIT_STANDING
     if not any(stack.alive for stack, _ in found):
         print("nothing is running")
     for stack, state in found:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import os
 import stat
 import subprocess
@@ -82,7 +83,9 @@ def running(tmp_path: Path):
 
 
 def asked(**changes) -> argparse.Namespace:
-    return argparse.Namespace(**{"name": None, "run": None, "service": None, **changes})
+    return argparse.Namespace(
+        **{"name": None, "run": None, "service": None, "format": "text", **changes}
+    )
 
 
 def test_with_nothing_there_ps_and_down_say_so_and_logs_is_an_error(capsys):
@@ -102,6 +105,17 @@ def test_ps_shows_every_service_of_a_stack_that_runs(known, running, capsys):
     assert "  edge          11  ready " in message
     assert message.splitlines()[2].endswith(" 2")
     assert "  robot          -  not started" in message
+
+
+def test_ps_as_json_has_every_stack_and_service(known, running, capsys):
+    assert control.run_ps(asked(format="json")) == 0
+    assert json.loads(capsys.readouterr().out) == []
+    stack = running(named=("edge", "robot"))
+    known.add(stack.run, robot="romeo", services=("edge", "robot"))
+    assert control.run_ps(asked(format="json")) == 0
+    (shown,) = json.loads(capsys.readouterr().out)
+    assert (shown["run"], shown["alive"], shown["state"]) == (str(stack.run), True, READY)
+    assert [service["name"] for service in shown["services"]] == ["edge"]
 
 
 def test_ps_and_down_say_how_a_stack_ended_by_itself(known, tmp_path, capsys):
