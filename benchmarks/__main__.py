@@ -11,6 +11,7 @@ from shared.process.cli import Subcommand, run, run_command
 COMMANDS = (
     Subcommand("capacity", "recorded delays given back", "benchmarks.commands"),
     Subcommand("core", "where the time goes; or ratios to another commit", "benchmarks.commands"),
+    Subcommand("faults", "faults on purpose, and the promises", "benchmarks.faults.campaign"),
     Subcommand("floor", "what no Python can beat", "benchmarks.commands"),
     Subcommand("lockstep", "speed of a trial", "benchmarks.commands"),
     Subcommand("netem", "how exactly the link is emulated", "benchmarks.commands"),

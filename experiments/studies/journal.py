@@ -11,14 +11,22 @@ import fcntl
 import json
 from collections.abc import Iterator, Set
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 from experiments.studies.code_identity import code_version, present_identity
-from experiments.studies.trial_sequence import Trial
 from shared.errors import ConfigError
 
 # `summary` or `error`, `wall_seconds`; in the journal also `trial`, `code` and `label`.
 Record = dict[str, Any]
+
+
+class Identified(Protocol):
+    """A trial, or anything else that is played once and then known by its identity."""
+
+    @property
+    def identity(self) -> str: ...
+    @property
+    def label(self) -> dict[str, Any]: ...
 
 
 class Journal:
@@ -58,7 +66,7 @@ class Journal:
             "latter)"
         )
 
-    def add(self, trial: Trial, record: Record) -> None:
+    def add(self, trial: Identified, record: Record) -> None:
         """Append the line of a trial, and flush it to the file."""
         line = {"trial": trial.identity, "code": code_version(), "label": trial.label, **record}
         self._file.write(json.dumps(line).encode() + b"\n")

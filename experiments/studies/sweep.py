@@ -180,7 +180,7 @@ def _identities(sequences: Sequence[TrialSequence]) -> set[str]:
 
 
 def _playing(
-    sequences: Sequence[TrialSequence], records: dict[str, Record], team: Players
+    sequences: Sequence[TrialSequence], records: dict[str, Record], team: Players[Trial]
 ) -> Iterator[tuple[Trial, Record]]:
     """Play sequences to their ends. Yield each trial and its record, and add it to `records`."""
     going = {(sequence.cell, sequence.seed): sequence for sequence in sequences}

@@ -1,7 +1,8 @@
 """Players of trials: processes of this machine, or the workers of a Dask cluster.
 
 Both accept trials while others are played, and return records in the order of finishing. An error
-within a trial is in its record. An exception means that the workers or the cluster are lost.
+within a trial is in its record. An exception means that the workers or the cluster are lost. The
+processes of this machine can play other items than trials.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from experiments.lockstep import Lockstep
 from experiments.studies.code_identity import code_version
@@ -40,21 +41,24 @@ _SCHEDULER_WITHIN = 5.0
 _WORKER_WITHIN = 20.0
 
 
-class Players:
+Item = TypeVar("Item")
+
+
+class Players(Generic[Item]):
     """A team of `number` workers. `lost` is the error message for the loss of the whole team."""
 
-    def __init__(self, submit: Callable[[Trial], Any], *, number: int, lost: str) -> None:
+    def __init__(self, submit: Callable[[Item], Any], *, number: int, lost: str) -> None:
         self.number = number
         self._submit, self._lost = submit, lost
-        self._ended: queue.SimpleQueue[tuple[Trial, Any]] = queue.SimpleQueue()
+        self._ended: queue.SimpleQueue[tuple[Item, Any]] = queue.SimpleQueue()
 
-    def submit(self, trial: Trial) -> None:
+    def submit(self, trial: Item) -> None:
         """Queue a trial behind those submitted before it."""
         with self._still_there():
             future = self._submit(trial)
             future.add_done_callback(lambda future: self._ended.put((trial, future)))
 
-    def finished(self) -> tuple[Trial, Record]:
+    def finished(self) -> tuple[Item, Record]:
         """Wait for the next trial to finish. Return it and its record."""
         trial, future = self._ended.get()
         with self._still_there():
@@ -71,14 +75,18 @@ class Players:
 
 
 @contextlib.contextmanager
-def players(workers: int, scheduler: str | None = None) -> Iterator[Players]:
+def players(workers: int, scheduler: str | None = None) -> Iterator[Players[Trial]]:
     """Open `workers` processes of this machine or, if `scheduler` is an address, its cluster.
 
     On leaving, no more trials begin. A process of this machine is killed; a worker of a cluster
     ends its present trial.
     """
-    with _local(workers) if scheduler is None else _cluster(scheduler) as them:
-        yield them
+    if scheduler is None:
+        with local_players(workers, _play_trial) as here:
+            yield here
+    else:
+        with _cluster(scheduler) as there:
+            yield there
 
 
 def play(config: RunConfig, all_active_sets: bool) -> Record:
@@ -86,14 +94,25 @@ def play(config: RunConfig, all_active_sets: bool) -> Record:
 
     A trial that is no result about the link has both, so that no study counts it.
     """
+
+    def summary() -> dict[str, Any]:
+        result = Lockstep(config, all_active_sets=all_active_sets).run()
+        return {key: value for key, value in result.summary.items() if key != "versions"}
+
+    record = recorded(summary)
+    played = record["summary"]
+    if played is not None and not played["valid"]:
+        record["error"] = f"no result about the link: {'; '.join(played['invalid_reasons'])}"
+    return record
+
+
+def recorded(play: Callable[[], dict[str, Any]]) -> Record:
+    """Return the summary that `play` returns, or the error that ended it."""
     started = time.perf_counter()
     summary: dict[str, Any] | None = None
     error = None
     try:
-        result = Lockstep(config, all_active_sets=all_active_sets).run()
-        summary = {key: value for key, value in result.summary.items() if key != "versions"}
-        if not summary["valid"]:
-            error = f"no result about the link: {'; '.join(summary['invalid_reasons'])}"
+        summary = play()
     except Exception as exception:
         at = traceback.extract_tb(exception.__traceback__)[-1]
         text = " ".join(str(exception).split())
@@ -101,17 +120,25 @@ def play(config: RunConfig, all_active_sets: bool) -> Record:
     return {"summary": summary, "error": error, "wall_seconds": time.perf_counter() - started}
 
 
+def _play_trial(trial: Trial) -> Record:
+    return play(trial.config, trial.all_active_sets)
+
+
 @contextlib.contextmanager
-def _local(workers: int) -> Iterator[Players]:
+def local_players(workers: int, play: Callable[[Item], Record]) -> Iterator[Players[Item]]:
+    """Open `workers` processes of this machine that play items. On leaving, they are killed.
+
+    Both `play` and the items can be pickled.
+    """
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
     executor = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker)
 
-    def submit(trial: Trial) -> Any:
+    def submit(trial: Item) -> Any:
         # The workers inherit the mask. Ctrl-C interrupts this process, which then ends them.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            return executor.submit(play, trial.config, trial.all_active_sets)
+            return executor.submit(play, trial)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
@@ -139,7 +166,7 @@ def _begin_worker() -> None:
 
 
 @contextlib.contextmanager
-def _cluster(address: str) -> Iterator[Players]:
+def _cluster(address: str) -> Iterator[Players[Trial]]:
     try:
         import distributed
     except ImportError:

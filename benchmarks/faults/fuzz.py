@@ -1,0 +1,114 @@
+"""One hostile message, then a second of honest ones, beside a twin that never met it.
+
+The twin is the same robot and edge with the same sensor noise. At the end of the second, the edge
+has to answer the same states as the twin's, and the torques have to equal the twin's.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+
+from benchmarks.faults.cases import Case, Draw, Parameters
+from benchmarks.faults.hostile import TO_EDGE, TO_ROBOT
+from benchmarks.faults.pair import Arrive, Pair, unchanged
+from shared.config.config_file import load_config
+
+EDGE, ROBOT = "edge", "robot"
+# Ticks of honest messages after the hostile one, and the last of them, which are compared.
+_HONEST, _COMPARED = 1000, 100
+# The tick of the hostile message: in the edge's first 100 ms of a session, or after.
+_AT = (20, 150)
+# A torque may differ from the twin's by this [N m]: an answer that is accepted, and then replaced,
+# moves a robot a little, which its feedback takes back.
+TOLERANCE = 0.5
+
+
+def play(case: Case) -> dict[str, Any]:
+    """Play a case, and return what it showed."""
+    given = case.parameters
+    honest, ticks = _twin(case.seed, given["controller"], given["every_state"])
+    rng = case.rng()
+    pair = _pair(case.seed, given["controller"], given["every_state"])
+    _, change = (TO_EDGE if given["to"] == EDGE else TO_ROBOT)[given["change"]]
+    sent = False
+
+    def hostile(data: bytes) -> list[bytes]:
+        nonlocal sent
+        if sent:
+            return [data]
+        sent = True
+        wrong = change(data, pair.codec, given, rng)
+        return [wrong, data] if given["first"] else [data, wrong]
+
+    for tick in range(given["at"] + _HONEST):
+        # An edge does not answer every state of LC: its next answer is the one that is changed.
+        strike: Arrive = hostile if tick >= given["at"] else unchanged
+        pair.tick(**{"uplink" if given["to"] == EDGE else "downlink": strike})
+    tau, ages = pair.column("tau"), pair.column("projector_age_ns")
+    n = len(tau)
+    apart = np.abs(tau - honest["tau"][:n]).max(axis=1)
+    last = slice(n - _COMPARED, n)
+    fresh = np.abs(ages[last] - honest["projector_age_ns"][:n][last])
+    return {
+        "sent": sent,
+        "fell": pair.robot.fallen,
+        "finite": bool(np.isfinite(tau).all()),
+        "clamped": bool(np.all(np.abs(tau) <= pair.limit + 1e-12)),
+        "torque_apart": float(apart.max()),
+        "torque_apart_after": float(apart[last].max()),
+        "age_apart_after_ms": float(fresh.max()) * 1e-6,
+        "equal": bool(apart.max() == 0.0),
+        "refused": {
+            EDGE: dict(pair.edge.refused),
+            ROBOT: dict(pair.robot.cache.refused),
+        },
+        "ticks": ticks,
+    }
+
+
+def _pair(seed: int, controller: str, every_state: bool) -> Pair:
+    settings: Parameters = {"seed": seed, "controller": controller, "push": []}
+    if every_state:
+        settings |= {"correction.refresh_distance": 0.0, "correction.refresh_interval_ns": 0}
+    return Pair(load_config(None, settings))
+
+
+@functools.cache
+def _twin(seed: int, controller: str, every_state: bool) -> tuple[dict[str, np.ndarray], int]:
+    """Return the columns of an undisturbed pair, and its number of ticks."""
+    pair = _pair(seed, controller, every_state)
+    ticks = max(_AT) + _HONEST
+    for _ in range(ticks):
+        pair.tick()
+    return {name: pair.column(name) for name in ("tau", "projector_age_ns")}, ticks
+
+
+def _draw(to: str, change: str) -> Draw:
+    draw, _ = (TO_EDGE if to == EDGE else TO_ROBOT)[change]
+
+    def parameters(turn: int, rng: np.random.Generator) -> Parameters:
+        # LC takes two turns in four: with an answer to every state, and as it is.
+        controller, every_state = (("la", False), ("lc", True), ("pr", False), ("lc", False))[
+            (turn + int(rng.integers(4))) % 4
+        ]
+        return {
+            "to": to,
+            "change": change,
+            "controller": controller,
+            "every_state": every_state,
+            "at": _AT[int(rng.integers(len(_AT)))],
+            "first": bool(rng.integers(2)),
+            **draw(rng),
+        }
+
+    return parameters
+
+
+DRAWS: dict[str, Draw] = {
+    f"{change} to the {to}": _draw(to, change)
+    for to, changes in ((EDGE, TO_EDGE), (ROBOT, TO_ROBOT))
+    for change in changes
+}
