@@ -118,8 +118,13 @@ def _matrices(change: Callable[[np.ndarray, Any, np.random.Generator], np.ndarra
 
 
 def _with_entry(block: np.ndarray, by: float, rng: np.random.Generator) -> np.ndarray:
+    # Of a symmetric block, one half is sent.
+    twice = block.shape[0] == block.shape[1] and np.allclose(block, block.T)
     block = block.copy()
-    block.reshape(-1)[int(rng.integers(block.size))] += by
+    row, column = divmod(int(rng.integers(block.size)), block.shape[1])
+    block[row, column] += by
+    if twice and row != column:
+        block[column, row] += by
     return block
 
 

@@ -52,7 +52,7 @@ class _NotHereError(Exception):
 
 
 def play(case: Case) -> Outcome:
-    """Play a case on stacks of its own. `skipped` is a reason, if the machine does not allow it."""
+    """Play a case on new stacks. `skipped` is the reason if the machine does not allow it."""
     with tempfile.TemporaryDirectory(prefix="wbc-faults-") as name, stacks(Path(name)) as them:
         try:
             return _PLAYS[case.fault](them, case.parameters)
@@ -93,7 +93,7 @@ def _checked(
     during: bool = True,
     told: bool,
 ) -> Outcome:
-    """Compare what is left of the runs, each with its exit code, with what happened."""
+    """Compare the files, processes and outputs of the runs, by their exit codes, with the truth."""
     outcome: Outcome = {
         "agrees": during and all(agrees_after(run, code=code) for run, code in runs.items()),
         "readable": all(is_readable(run) for run in runs),
@@ -358,16 +358,21 @@ def _two_edges(them: Stacks, given: Parameters) -> Outcome:
     return _all_ended(them, up, others, during=during, told=told)
 
 
+def _may_read_the_project(user: int) -> bool:
+    command = python("-c", "import shared")
+    try:
+        done = subprocess.run(command, user=user, extra_groups=[], capture_output=True, check=False)
+    except PermissionError:
+        return False
+    return done.returncode == 0
+
+
 def _second_user(them: Stacks, given: Parameters) -> Outcome:
     if os.geteuid() != 0:
         raise _NotHereError("only root can be another user")
     # The other user may enter the case's folder, and read the project.
     them.folder.chmod(0o755)
-    allowed = subprocess.run(
-        python("-c", "import shared"), user=_NOBODY, extra_groups=[], capture_output=True,
-        check=False,
-    )  # fmt: skip
-    if allowed.returncode != 0:
+    if not _may_read_the_project(_NOBODY):
         raise _NotHereError("another user cannot read this copy of the project")
     up, run = _begun(them, given)
     code, text = them.play("deploy", given["command"], "--run", str(run), user=_NOBODY)

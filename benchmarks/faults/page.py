@@ -26,7 +26,7 @@ def with_evidence(page: str, text: str) -> str:
 
 
 def evidence(played: Mapping[Case, Outcome | None]) -> str:
-    """Return the evidence as Markdown: what was played where, the promises, and the faults."""
+    """Return the evidence as Markdown: cases, machine, versions, promises and faults."""
     seeds = ", ".join(str(seed) for seed in sorted({case.seed for case in played}))
     packages = ", ".join(f"{name} {version}" for name, version in versions().items())
     counts = []

@@ -114,7 +114,7 @@ def broken(case: Case, outcome: Outcome | None) -> list[str]:
 
 
 def table(played: Iterable[tuple[Case, Outcome | None]]) -> list[str]:
-    """Return the lines of a Markdown table: each promise, its cases, and those that break it."""
+    """Return a Markdown table: each promise, its cases, and the cases that break it."""
     played = list(played)
     lines = ["| | promise | cases | kept | broken by |", "|---|---|---:|---:|---|"]
     for promise in sorted(PROMISES, key=lambda each: KINDS.index(each.kind)):

@@ -48,7 +48,7 @@ def free_endpoint() -> str:
 
 
 class Command:
-    """A command of the project in a process of its own; its output is in a file.
+    """A command of the project as a separate process; its output is in a file.
 
     `prefix` comes before the command line. `limits` are resource limits, each with its number.
     """
@@ -119,7 +119,7 @@ class Command:
         return "Traceback" not in self.output and len(errors) <= 1
 
     def end(self) -> None:
-        """Kill what is left of the process and of its group."""
+        """Kill the process, if it runs, and its group."""
         if self.popen.poll() is None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self.popen.pid, signal.SIGKILL)
@@ -171,7 +171,7 @@ class Stacks:
 
 @contextlib.contextmanager
 def stacks(folder: Path) -> Iterator[Stacks]:
-    """Open the stacks of a case, and kill at the end what is left of them."""
+    """Open the stacks of a case, and kill their last processes at the end."""
     them = Stacks(folder)
     try:
         yield them
