@@ -198,6 +198,15 @@ def pid_of(run: Path, service: str) -> int:
     return until(ready, f"{service} ready") or 0
 
 
+def lives(pid: int) -> bool:
+    """Return whether a process runs. A killed one that its parent has not asked about does not."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] not in "ZX"
+
+
 def rows_in(file: Path) -> int:
     """Return the number of rows that a service has written so far."""
     try:
@@ -215,10 +224,7 @@ def agrees_while_running(run: Path) -> bool:
             state is not None
             and state.state == READY
             and bool(state.services)
-            and all(
-                each.state == READY and Path(f"/proc/{each.pid}").exists()
-                for each in state.services
-            )
+            and all(each.state == READY and lives(each.pid) for each in state.services)
         )
 
     try:
@@ -234,9 +240,7 @@ def agrees_after(run: Path, *, code: int | None) -> bool:
         state is not None
         and not stack.alive
         and state.state == ENDED
-        and all(
-            each.state == ENDED or not Path(f"/proc/{each.pid}").exists() for each in state.services
-        )
+        and all(each.state == ENDED or not lives(each.pid) for each in state.services)
         and (code is None or state.exit_code == code)
     )
 
