@@ -8,6 +8,7 @@ part is then made from the rows.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 from collections import Counter
@@ -37,6 +38,8 @@ from shared.wbc.qp import QpStatus
 
 SUMMARY = "summary.json"
 STEMS = _ROBOT, _EDGE, _LINK = ("telemetry", "edge", "link")
+# The recording's process is ended if it uses less than this share of a core for so long [s].
+_IDLE_SECONDS, _IDLE_SHARE = 30.0, 0.002
 # Only these columns are read: all columns of an hour do not fit into memory.
 _COMPARED = ("tick", "time_ns", "wall_ns", "active_set", "com_error_m", "contact_violation_m_s2")
 
@@ -113,11 +116,41 @@ def set_aside(run: Path) -> None:
 
 
 def record(run: Path, say: Callable[[str], None]) -> None:
-    """Make the recording of a run from its files, if no viewer recorded the whole run."""
-    command = python("-m", "viewer", "record", str(run))
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    for line in (done.stdout + done.stderr).splitlines():
+    """Make the recording of a run from its files, if no viewer recorded the whole run.
+
+    Rerun may wait for ever where it cannot write. A process that does nothing is ended.
+    """
+    with subprocess.Popen(
+        python("-m", "viewer", "record", str(run)),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as making:
+        used = -1.0
+        while True:
+            try:
+                output, _ = making.communicate(timeout=_IDLE_SECONDS)
+                break
+            except subprocess.TimeoutExpired:
+                before, used = used, _processor_seconds(making.pid)
+                if used - before < _IDLE_SHARE * _IDLE_SECONDS:
+                    making.kill()
+                    making.communicate()
+                    (run / "recording.rrd.partial").unlink(missing_ok=True)
+                    output = (
+                        "no recording: expected it to be written, the process does nothing; "
+                        f"{wbc(f'viewer record {run}')} tries again"
+                    )
+                    break
+    for line in output.splitlines():
         say(line)
+
+
+def _processor_seconds(pid: int) -> float:
+    """Return the processor time of a process so far [s]."""
+    text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    user, system = text.rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 _Rows = tuple[Schema, np.ndarray]

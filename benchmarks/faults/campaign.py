@@ -40,6 +40,9 @@ def add_faults_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--only", metavar="CASE", action="append", help="only this case; repeatable: lockstep-017"
     )
+    parser.add_argument(
+        "--played", action="store_true", help="only the cases in the journal; play no others"
+    )
     parser.add_argument("--workers", type=int, default=1, help="processes at a time; 1")
     parser.add_argument(
         "--out", type=Path, default=Path("runs/faults"), metavar="DIR", help="the journal's folder"
@@ -62,6 +65,8 @@ def run_faults(arguments: argparse.Namespace) -> int:
     with open_journal(arguments.out / JOURNAL) as journal:
         # A case that is asked for by its name is played again.
         known = {} if arguments.only else journal.usable(keep_code=False)
+        if arguments.played:
+            cases = [case for case in cases if case.identity in known]
         played = play(cases, journal, known=known, workers=arguments.workers)
     if arguments.docs is not None:
         page = arguments.docs / PAGE

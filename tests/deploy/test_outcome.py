@@ -1,11 +1,14 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from deploy.outcome import set_aside, summarise
+from deploy import outcome
+from deploy.outcome import record, set_aside, summarise
 from shared.config.settings import RunConfig
 from shared.output.report import edge_report, robot_report
 from shared.output.summary import summary_in_words
@@ -154,3 +157,28 @@ def test_the_files_of_the_run_before_are_set_aside_once(tmp_path: Path):
     assert [file.name for file in tmp_path.iterdir()] == ["previous"]
     assert (tmp_path / "previous/summary.json").read_text() == "20"
     assert len(read_parquet(tmp_path / "previous/edge.1.parquet")[1]) == 20
+
+
+def test_a_recording_that_is_not_written_is_given_up_and_one_that_works_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outcome, "_IDLE_SECONDS", 0.5)
+    said: list[str] = []
+    partial = tmp_path / "recording.rrd.partial"
+    for text in ("import time; print('half'); time.sleep(3600)", BUSY):
+        partial.touch()
+        command = [sys.executable, "-c", text]
+        monkeypatch.setattr(outcome, "python", lambda *words, command=command: command)
+        record(tmp_path, said.append)
+    assert said[0].startswith("no recording: expected it to be written, the process does nothing;")
+    assert f"viewer record {tmp_path}" in said[0]
+    assert said[1:] == ["whole"]
+
+
+# Longer than the time for which a process may do nothing.
+BUSY = """
+import time
+while time.process_time() < 1.5:
+    pass
+print("whole")
+"""
