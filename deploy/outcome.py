@@ -39,7 +39,7 @@ from shared.wbc.qp import QpStatus
 SUMMARY = "summary.json"
 STEMS = _ROBOT, _EDGE, _LINK = ("telemetry", "edge", "link")
 # The recording's process is ended if it uses less than this share of a core for so long [s].
-_IDLE_SECONDS, _IDLE_SHARE = 30.0, 0.002
+_IDLE_SECONDS, _IDLE_SHARE = 30.0, 0.005
 # Only these columns are read: all columns of an hour do not fit into memory.
 _COMPARED = ("tick", "time_ns", "wall_ns", "active_set", "com_error_m", "contact_violation_m_s2")
 
