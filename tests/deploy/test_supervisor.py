@@ -197,7 +197,10 @@ def test_a_service_that_fails_again_and_again_is_degraded_and_the_run_goes_on(tm
         # One more than the failures that are no reason to wait.
         await run.wait_for("edge: ended (exit 4): starts again in 1 s (degraded), failure 3")
         edge = run.supervisor.states()[0]
-        assert (edge.state, edge.restarts, edge.degraded) == (WAITING, 2, True)
+        # On a slow machine it may have started again by now.
+        assert edge.state in (WAITING, READY)
+        assert edge.restarts >= 2
+        assert edge.degraded
         await run.wait_for("edge: ended (exit 4): starts again in 2 s (degraded), failure 4")
         edge = run.supervisor.states()[0]
         assert edge.degraded_seconds >= 1.0

@@ -202,7 +202,7 @@ def test_the_time_to_connect_is_just_enough_for_the_round_trip(play):
 
 def test_a_profile_that_loses_everything_is_refused_before_the_trial(configured, trace):
     network = trace(np.full((2, 10), LOST))
-    with pytest.raises(ProfileError, match="every uplink message is lost"):
+    with pytest.raises(ProfileError, match="uplink messages that arrive, got only lost"):
         Lockstep(configured(**{"link.network": network}))
 
 

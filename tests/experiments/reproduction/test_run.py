@@ -161,7 +161,7 @@ def test_every_study_has_a_quick_form_that_is_smaller():
 
 
 def test_an_unknown_table_is_one_clear_error(tmp_path):
-    with pytest.raises(ConfigError, match=r"fig4, fig5, fig6, .*table6 or all, got 'tabel2'"):
+    with pytest.raises(ConfigError, match=r"fig4, fig5, .*table6, all, got 'tabel2'; did you"):
         run_names("table2", "tabel2", "--out", tmp_path)
     assert list(tmp_path.iterdir()) == []
 
