@@ -66,6 +66,8 @@ def run_faults(arguments: argparse.Namespace) -> int:
         # A case that is asked for by its name is played again.
         known = {} if arguments.only else journal.usable(keep_code=False)
         if arguments.played:
+            # A case that an error ended is evidence too: it breaks every promise of its kind.
+            known |= journal.failed()
             cases = [case for case in cases if case.identity in known]
         played = play(cases, journal, known=known, workers=arguments.workers)
     if arguments.docs is not None:

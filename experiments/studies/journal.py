@@ -54,6 +54,11 @@ class Journal:
         lines = [*self._lines, *mine] if keep_code else mine
         return {line["trial"]: line for line in lines if line["error"] is None}
 
+    def failed(self) -> dict[str, Record]:
+        """Trials of this code whose last line has an error, by identity."""
+        last = {line["trial"]: line for line in self._lines if line["code"] == code_version()}
+        return {name: line for name, line in last.items() if line["error"] is not None}
+
     def left_out(self, wanted: Set[str], *, keep_code: bool) -> str | None:
         """A sentence on the lines that are not used. `wanted`: identities of the study's trials."""
         of_study = [line for line in self._lines if line["trial"] in wanted]

@@ -170,6 +170,8 @@ def test_a_campaign_that_was_interrupted_plays_what_is_missing(
         monkeypatch.setitem(live._PLAYS, fault, fake)
     with open_journal(tmp_path / JOURNAL) as journal, pytest.raises(KeyboardInterrupt):
         play(cases, journal, known={})
+    with open_journal(tmp_path / JOURNAL) as journal:
+        assert [*journal.failed()] == [cases[1].identity]
     with (tmp_path / JOURNAL).open("a") as file:
         file.write('{"case": "half a li')
     with open_journal(tmp_path / JOURNAL) as journal:
