@@ -190,7 +190,11 @@ class ZenohBus:
         process without waiting for it.
         """
         closing = threading.Thread(target=self._close, name=CLOSING, daemon=True)
-        closing.start()
+        try:
+            closing.start()
+        except RuntimeError:
+            # No memory for a thread: the end of the process closes the session.
+            return
         closing.join(_CLOSE_SECONDS)
 
     def _close(self) -> None:
