@@ -138,11 +138,14 @@ def draw_pushes(rows: Sequence[Row], *, panels: str | None, out: Path) -> None:
                 continue
             at = (np.arctan2(y, x), np.hypot(x, y))
             axis.scatter(*at, s=420, c=[value[0]], cmap=_PARTS[STOOD], vmin=0.0, vmax=1.0)
-            axis.annotate(value[2], at, ha="center", va="center", fontsize=7)
+            clear = "black" if 0.25 < value[0] < 0.75 else "white"
+            axis.annotate(value[2], at, ha="center", va="center", fontsize=7, color=clear)
         # Forward is up, left is left.
         axis.set_theta_zero_location("N")
         axis.set_thetagrids(range(0, 360, 45), ["+x", "", "+y", "", "−x", "", "−y", ""])
         axis.set_rlabel_position(22.5)
+        axis.set_axisbelow(True)
+        axis.set_rmax(1.15 * axis.get_rmax())
         axis.set_rmin(0.0)
         axis.set_title(panel, fontsize=9)
     figure.suptitle("trials that stood, by push [N]", fontsize=10)
