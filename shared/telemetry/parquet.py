@@ -56,7 +56,9 @@ def read_parquet(path: Path, *, columns: Sequence[str] | None = None) -> tuple[S
     """Return schema and rows of a table of `write_parquet`, or of some of its columns."""
     import pyarrow.parquet as pq
 
-    table = pq.read_table(path, columns=None if columns is None else list(columns))
+    # In this thread: Arrow waits for ever for threads for which there is no memory.
+    with pq.ParquetFile(path, pre_buffer=False) as file:
+        table = file.read(columns=None if columns is None else list(columns), use_threads=False)
     return _schema_of(table.schema), _rows_of(table)
 
 
