@@ -208,6 +208,7 @@ def test_a_limit_of_file_sizes_hides_no_outcome(start: Start, tmp_path: Path) ->
     limited = (
         "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000)); "
         f"import sys; sys.argv[1:] = {[*arguments.split(), '--out', str(out)]!r}; "
+        "import deploy.outcome; deploy.outcome._IDLE_SECONDS = 3.0; "  # of a recorder that is stuck
         "from deploy.__main__ import main; from shared.process.cli import run; run(main)"
     )
     up = start("-c", limited)
