@@ -29,9 +29,23 @@ class StateLimits:
         self._highest = model.upperPositionLimit[7:] + _MARGIN
         self._names = model.names[2:]
         self._height = float(robot.q_standing[2])
+        # A box within the limits of q and v: a state inside needs no other comparison.
+        low, high = np.full(model.nq + model.nv, -np.inf), np.full(model.nq + model.nv, np.inf)
+        low[2], high[2] = (1.0 - _HEIGHTS) * self._height, (1.0 + _HEIGHTS) * self._height
+        low[7 : model.nq], high[7 : model.nq] = self._lowest, self._highest
+        fastest = np.full(model.nv, _FASTEST_JOINT)
+        fastest[:3], fastest[3:6] = _FASTEST_BASE / 3**0.5, _FASTEST_TURN / 3**0.5
+        low[model.nq :], high[model.nq :] = -fastest, fastest
+        self._low, self._high = low, high
 
     def check(self, q: np.ndarray, v: np.ndarray) -> None:
         """Raise `MessageRefused` if no robot of this kind can be at q (nq,) and move by v (nv,)."""
+        state = np.concatenate((q, v))
+        turn = q[3:7]
+        if abs(float(turn.dot(turn)) - 1.0) > _UNIT:
+            raise MessageRefused("limits", "the base's quaternion is not of unit length")
+        if bool(((state >= self._low) & (state <= self._high)).all()):
+            return
         joints, rates = q[7:], v[6:]
         outside = (joints < self._lowest) | (joints > self._highest)
         if outside.any():
@@ -39,8 +53,6 @@ class StateLimits:
         fast = np.abs(rates) > _FASTEST_JOINT
         if fast.any():
             self._refuse(fast, rates, "rad/s")
-        if abs(float(q[3:7].dot(q[3:7])) - 1.0) > _UNIT:
-            raise MessageRefused("limits", "the base's quaternion is not of unit length")
         if abs(float(q[2]) - self._height) > _HEIGHTS * self._height:
             raise MessageRefused("limits", f"the base is at {q[2]:.3g} m")
         for part, fastest, unit in (
