@@ -59,7 +59,6 @@ class EdgeNode:
     """The full controller at the far end of the link, for robots of one kind with the same task."""
 
     def __init__(self, robot: Robot, config: RunConfig, motion: Motion) -> None:
-        self.refused = RefusalCounter()
         self.refused_from: defaultdict[str, RefusalCounter] = defaultdict(RefusalCounter)
         self.sessions = Sessions(robot, config, motion)
         self.solved: Counter[str] = Counter()
@@ -70,6 +69,11 @@ class EdgeNode:
         signs = np.random.default_rng([config.seed, 11]).choice([-1.0, 1.0], robot.model.nv - 6)
         self._posture_error = config.correction.posture_error * signs
 
+    @property
+    def refused(self) -> RefusalCounter:
+        """States refused so far, of all robots."""
+        return sum(self.refused_from.values(), RefusalCounter())
+
     def receive(self, data: bytes, now_ns: int, *, robot: str = "") -> None:
         """Take a message in that has arrived on the key of `robot`.
 
@@ -79,7 +83,6 @@ class EdgeNode:
             state = self._codec.decode_state(data)
             self.sessions.take(robot, state, now_ns=now_ns)
         except MessageRefused as refusal:
-            self.refused[refusal.reason] += 1
             self.refused_from[robot][refusal.reason] += 1
 
     def step(self) -> Answer | None:
