@@ -162,8 +162,9 @@ class PurelyRemote(Controller):
         entry = self.cache.newest_solution
         if entry is None or entry.tau is None or entry.y is None:
             return None
-        contacts = self._stacks[entry.projector.mode].contacts
-        self._wrenches = contacts.wrenches(entry.y[self._model.nv :])
+        if self._balance is not None:
+            contacts = self._stacks[entry.projector.mode].contacts
+            self._wrenches = contacts.wrenches(entry.y[self._model.nv :])
         return _decision(entry, entry.tau, entry.y)
 
 
@@ -208,7 +209,8 @@ class LocallyAssisted(Controller):
             if entry.proven or self._verifier.is_plausible(force) or self._is_exact(entry):
                 # From now on it may grow stale, which is no fault of the edge.
                 entry.proven = True
-                self._wrenches = stack.contacts.wrenches(y[model.nv :])
+                if self._balance is not None:
+                    self._wrenches = stack.contacts.wrenches(y[model.nv :])
                 return _decision(entry, tau, y)
             self.cache.reject(entry)
         return None
