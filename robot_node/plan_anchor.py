@@ -14,6 +14,7 @@ where they are.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,6 +44,7 @@ class PlanAnchor:
         self._model = model
         self._average = np.zeros(3)
         self._ticks = 0
+        self._final_stand: _FinalStand | None = None
 
     def release(self) -> None:
         """Note a tick under normal control."""
@@ -57,15 +59,22 @@ class PlanAnchor:
         self._average += max(1.0 / self._ticks, _AVERAGE) * error
         if self._ticks * period_ns < _SETTLED_NS:
             return
-        stance_in_plan = self._stance(self._model.robot.q_standing)
-        last_ns = _last_switch_ns(motion)
-        if last_ns is not None:
-            rest_ns = last_ns + _REST_NS
-            stance_in_plan = self._stance_below(motion.reference(rest_ns), stance_in_plan)
-            if time_ns + self.skipped_ns < last_ns:
-                self.skipped_ns = rest_ns - time_ns
+        final = self._final_stand_of(motion)
+        if final.last_switch_ns is not None and time_ns + self.skipped_ns < final.last_switch_ns:
+            self.skipped_ns = final.last_switch_ns + _REST_NS - time_ns
         x, y, yaw = self._average.tolist()
-        self.frame = PlanFrame.between(PlanFrame(x, y, yaw), stance_in_plan)
+        self.frame = PlanFrame.between(PlanFrame(x, y, yaw), final.stance)
+
+    def _final_stand_of(self, motion: Motion) -> _FinalStand:
+        """Return the final stand of a motion, computed once for each."""
+        final = self._final_stand
+        if final is None or final.motion is not motion:
+            stance = self._stance(self._model.robot.q_standing)
+            last_ns = _last_switch_ns(motion)
+            if last_ns is not None:
+                stance = self._stance_below(motion.reference(last_ns + _REST_NS), stance)
+            final = self._final_stand = _FinalStand(motion, last_ns, stance)
+        return final
 
     def _stance(self, q: np.ndarray) -> PlanFrame:
         """Middle between the soles and their mean heading, at q (nq,)."""
@@ -84,6 +93,15 @@ class PlanAnchor:
         offset = turned(yaw).dot(com - (standing.x, standing.y, 0.0))
         x, y, _ = (reference.com - offset).tolist()
         return PlanFrame(x, y, standing.yaw + yaw)
+
+
+@dataclass(frozen=True)
+class _FinalStand:
+    """The stance in which a motion ends, and the time of its last contact switch, if it has one."""
+
+    motion: Motion
+    last_switch_ns: int | None
+    stance: PlanFrame
 
 
 def _last_switch_ns(motion: Motion) -> int | None:
