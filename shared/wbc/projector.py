@@ -156,13 +156,13 @@ def _with_limits(
 def is_optimal(stack: Stack, held: HeldRows, b: np.ndarray) -> bool:
     """Return whether, by a clear margin, no free row is violated and no held one pulls."""
     contacts, k, n_rows = stack.contacts, len(held.factor), stack.layout.n_rows
-    projector = held.projector
+    projector, limits = held.projector, held.projector.limits
     y = projector.apply(b)
     f = y[stack.layout.n_accelerations :]
     free = int(np.count_nonzero(contacts.C @ f - contacts.l > _CLEARLY))
-    limits, misses = projector.limits, _misses(held.D, y, b[n_rows:])
-    free += int(np.count_nonzero(np.delete(misses, limits) < -_CLEARLY))
-    n_inequalities = len(contacts.l) + len(misses)
+    within = _misses(held.D, y, b[n_rows:]) < -_CLEARLY
+    free += int(np.count_nonzero(within)) - int(np.count_nonzero(within[limits]))
+    n_inequalities = len(contacts.l) + len(within)
     if free + k < n_inequalities or k == 0:
         return free == n_inequalities
     inverse, _ = dtrtri(held.factor, lower=1)
