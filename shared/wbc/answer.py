@@ -37,12 +37,16 @@ class Projector:
 
     def apply(self, b: np.ndarray) -> np.ndarray:
         """y = A† b, Eq. (4); shape (n,): accelerations, then contact forces."""
+        y: np.ndarray = self.A_dagger.dot(self.entries_of(b))
+        return y
+
+    def entries_of(self, b: np.ndarray) -> np.ndarray:
+        """The entries of b that have a column: the layout's rows, then the active limits."""
         k = len(self.limits)
         n_rows = self.A_dagger.shape[1] - k
         if len(b) > n_rows:
             b = np.concatenate([b[:n_rows], b[n_rows + self.limits]]) if k else b[:n_rows]
-        y: np.ndarray = self.A_dagger.dot(b)
-        return y
+        return b
 
 
 @dataclass(frozen=True, slots=True)

@@ -155,20 +155,19 @@ def _with_limits(
 
 def is_optimal(stack: Stack, held: HeldRows, b: np.ndarray) -> bool:
     """Return whether, by a clear margin, no free row is violated and no held one pulls."""
-    contacts, k, n_rows = stack.contacts, len(held.factor), stack.layout.n_rows
-    projector, limits = held.projector, held.projector.limits
+    contacts, k = stack.contacts, len(held.factor)
+    projector = held.projector
     y = projector.apply(b)
     f = y[stack.layout.n_accelerations :]
     free = int(np.count_nonzero(contacts.C @ f - contacts.l > _CLEARLY))
-    within = _misses(held.D, y, b[n_rows:]) < -_CLEARLY
-    free += int(np.count_nonzero(within)) - int(np.count_nonzero(within[limits]))
+    within = _misses(held.D, y, b[stack.layout.n_rows :]) < -_CLEARLY
+    free += int(np.count_nonzero(within)) - int(np.count_nonzero(within[projector.limits]))
     n_inequalities = len(contacts.l) + len(within)
     if free + k < n_inequalities or k == 0:
         return free == n_inequalities
     inverse, _ = dtrtri(held.factor, lower=1)
     # The violation of each row if it alone were released: λᵢ over (S⁻¹)ᵢᵢ.
-    b_held = np.concatenate([b[:n_rows], b[n_rows + limits]]) if len(limits) else b[:n_rows]
-    released = held.multipliers @ b_held / np.square(inverse).sum(axis=0)
+    released = held.multipliers @ projector.entries_of(b) / np.square(inverse).sum(axis=0)
     return bool((released > _CLEARLY).all())
 
 
