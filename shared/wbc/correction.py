@@ -89,8 +89,8 @@ class Corrector:
         self._y_from_f = np.ascontiguousarray(P[:, n_a:] @ self._F)
         self._qp = daqp.Model()
         C, l = stack.contacts.C, stack.contacts.l  # noqa: E741
-        no_bound = np.full(len(l), 1e30)
-        self._qp.setup(self._F, np.zeros(len(self._F)), C, no_bound, l, _SENSE[: len(l)])
+        no_bound, sense = np.full(len(l), 1e30), np.zeros(len(l), dtype=np.int32)
+        self._qp.setup(self._F, np.zeros(len(self._F)), C, no_bound, l, sense)
         if self._project(np.zeros(len(self._F))) is None:
             raise np.linalg.LinAlgError("the forces' block of P is not definite enough")
         self._limited: LimitedProjection | None = None
@@ -251,13 +251,13 @@ class LimitedProjection:
         return self._y_from_w.dot(w), self._gradient_from_w.dot(w), active
 
 
-_SENSE = np.zeros(64, dtype=np.int32)
 # Of the forces' block of P: a friction row may yield so much, because the wire rounds P to single
 # precision and W P Wᵀ has only as many dimensions as y has freedoms.
 _ROUNDING = 3e-7
 
 
 def _spd_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a symmetric positive definite matrix by NumPy, because a robot loads no SciPy."""
     np.linalg.cholesky(matrix)  # raises LinAlgError if it is not positive definite
     inverse = np.linalg.inv(matrix)
     if not all_finite(inverse):
