@@ -10,7 +10,7 @@ from pathlib import Path
 from shared.config.extensions import Extensions
 from shared.config.setting import Section, Setting
 from shared.config.settings import SECTIONS
-from shared.errors import ConfigError
+from shared.errors import ConfigError, writing
 from shared.process.cli import EXIT_STANDING
 
 PAGE = "configuration.md"
@@ -25,10 +25,8 @@ def add_settings_arguments(parser: argparse.ArgumentParser) -> None:
 def run_settings(arguments: argparse.Namespace) -> int:
     """Write the tables into the page. Return 0."""
     page = arguments.docs / PAGE
-    try:
+    with writing(page, what="docs"):
         page.write_text(with_tables(page.read_text(encoding="utf-8")), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"docs: cannot write {page}: {error.strerror}") from None
     print(page)
     return EXIT_STANDING
 
