@@ -7,7 +7,6 @@ played it. Lines of other settings and of other code stay in the file and are no
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 from collections.abc import Iterator, Set
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any, BinaryIO, Protocol
 
 from experiments.studies.code_identity import code_version, present_identity
 from shared.errors import ConfigError
+from shared.file_lock import lock
 
 # `summary` or `error`, `wall_seconds`; in the journal also `trial`, `code` and `label`.
 Record = dict[str, Any]
@@ -82,12 +82,10 @@ class Journal:
 def open_journal(path: Path) -> Iterator[Journal]:
     """Open the journal for one sweep alone. A half-written last line is removed."""
     with path.open("a+b") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not lock(file, within=0.0):
             raise ConfigError(
                 f"out: another sweep writes to {path.parent}; wait for it or give another --out"
-            ) from None
+            )
         file.seek(0)
         file.truncate(file.read().rfind(b"\n") + 1)
         file.seek(0)
