@@ -14,7 +14,6 @@ from shared.config.settings import RunConfig
 from shared.errors import ConfigError, writing
 from shared.output.screen import StatusLine
 from shared.output.summary import summary_in_words
-from shared.output.versions import versions
 from shared.process.cli import EXIT_FELL, EXIT_STANDING, add_run_arguments, config_from
 from shared.telemetry.parquet import write_parquet
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA
@@ -85,7 +84,7 @@ def _check_free(out: Path | None, json_file: Path | None, *, force: bool) -> Non
 def write_run(out: Path, config: RunConfig, result: TrialResult) -> None:
     """Write the files of a run that `deploy/up` writes, without logs and recording."""
     out.mkdir(parents=True, exist_ok=True)
-    text = dump_config(config, versions=versions())
+    text = dump_config(config, versions=result.summary["versions"])
     (out / "config.toml").write_text(text, encoding="utf-8")
     text = json.dumps(result.summary, indent=2) + "\n"
     (out / "summary.json").write_text(text, encoding="utf-8")
