@@ -71,11 +71,13 @@ class Extensions:
             self.check(value)
         except ConfigError as error:
             raise ConfigError(f"{self.what}: {error}") from None
-        announced = {} if value in self.own or _is_reference(value) else _announced(self.group)
-        reference = self.own.get(value) or announced.get(value, value)
+        reference = self.own.get(value, value)
+        if not _is_reference(reference):
+            reference = _announced(self.group)[value]
         where, _, name = reference.rpartition(":")
         try:
-            module = _module_of_file(Path(where)) if where.endswith(".py") else _import(where)
+            in_file = where.endswith(".py")
+            module = _module_of_file(Path(where)) if in_file else importlib.import_module(where)
         except Exception as error:  # anything that a module may raise while it is imported
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise ConfigError(
@@ -134,9 +136,7 @@ class Extensions:
         return ConfigError(f"{self.what} {value}: expected {expected}, got {got}; see {self.page}")
 
     def identity(self, value: str) -> str:
-        """Return what tells this value's code from others: a name, or a hash of its file."""
-        if value in self.own:
-            return value
+        """Return what tells this value's code from others: its name and a hash of its file."""
         loaded = self.load(value)
         module = sys.modules.get(getattr(loaded, "__module__", ""))
         source = Path(getattr(module, "__file__", None) or "")
@@ -195,10 +195,6 @@ def _is_reference(value: str) -> bool:
 def _announced(group: str) -> dict[str, str]:
     found: Iterable[importlib.metadata.EntryPoint] = importlib.metadata.entry_points(group=group)
     return {each.name: each.value for each in found}
-
-
-def _import(name: str) -> ModuleType:
-    return importlib.import_module(name)
 
 
 def _module_of_file(path: Path) -> ModuleType:
