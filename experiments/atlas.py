@@ -9,7 +9,6 @@ cluster, and the same command resumes it. The command writes a heat map with cou
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +24,7 @@ from experiments.studies.study_tables import flattened
 from experiments.studies.sweep import sweep, workers_from
 from experiments.studies.trial_table import errors_in_words, wilson_interval
 from experiments.studies.workers import EXAMPLE
-from shared.config.config_file import load_config
+from shared.config.config_file import differing, load_config, settings_table
 from shared.config.extensions import CONTROLLERS, TASKS
 from shared.config.quantities import parse_duration_ns, parse_push
 from shared.config.settings import RunConfig
@@ -186,14 +185,10 @@ def _force_of(push: str) -> float:
 
 def _changed(config: RunConfig) -> dict[str, Any]:
     """Settings that differ from the task's defaults, by dotted key, without the map's axes."""
-    default = flattened(dataclasses.asdict(load_config(None, {"task": config.task})), "default")
-    settings = flattened(dataclasses.asdict(config), "--config")
+    default = settings_table(load_config(None, {"task": config.task}))
+    changed = flattened(differing(settings_table(config), default), "--config")
     left_out = ("controller", "link.network", "push", "seed")
-    return {
-        key: value
-        for key, value in settings.items()
-        if value != default[key] and key not in left_out
-    }
+    return {key: value for key, value in changed.items() if key not in left_out}
 
 
 def _axis(option: str, text: str, check: Callable[[str], str]) -> list[str]:

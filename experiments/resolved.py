@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any
 
 import tomli_w
 
-from shared.config.config_file import load_config, settings_table
+from shared.config.config_file import differing, load_config, settings_table
 from shared.process.cli import EXIT_STANDING, add_run_arguments, config_from
 
 
@@ -28,18 +27,6 @@ def run_config(arguments: argparse.Namespace) -> int:
     """Print the settings. Return 0."""
     table = settings_table(config_from(arguments))
     if arguments.changed:
-        table = _differing(table, settings_table(load_config(None)))
+        table = differing(table, settings_table(load_config(None)))
     sys.stdout.write(tomli_w.dumps(table))
     return EXIT_STANDING
-
-
-def _differing(table: dict[str, Any], default: dict[str, Any]) -> dict[str, Any]:
-    differing = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            value = _differing(value, default[key])
-            if value:
-                differing[key] = value
-        elif value != default[key]:
-            differing[key] = value
-    return differing

@@ -98,6 +98,19 @@ def settings_table(config: RunConfig) -> dict[str, Any]:
     return dataclasses.asdict(config)
 
 
+def differing(table: Mapping[str, Any], default: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a table that differ from those of `default`, as a table."""
+    found = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            value = differing(value, default[key])
+            if value:
+                found[key] = value
+        elif value != default[key]:
+            found[key] = value
+    return found
+
+
 def _set_dotted(table: dict[str, Any], key: str, value: Any) -> None:
     *sections, name = key.split(".")
     for section in sections:
