@@ -387,13 +387,14 @@ class Codec:
 
     def _projector_fields(self, timed: TimedProjector) -> dict[str, Any]:
         projector = timed.projector
+        dtype = self._dtype_of(projector)
         return {
             "mode": int(projector.mode),
             "layout": self._layout_digests[projector.mode],
-            "dtype": self._dtype_of(projector),
+            "dtype": dtype,
             "active": projector.active.astype(np.uint8).tobytes(),
             **({"limits": bytes(projector.limits.tolist())} if len(projector.limits) else {}),
-            "A_dagger": projector.A_dagger.astype(_DTYPES[self._dtype_of(projector)]).tobytes(),
+            "A_dagger": projector.A_dagger.astype(_DTYPES[dtype]).tobytes(),
             "valid_from_ns": timed.valid_from_ns,
             "valid_until_ns": timed.valid_until_ns,
         }
