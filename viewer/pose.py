@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from shared.robots import Foot, Robot
 from shared.robots.description import sole_frame_name
+from shared.wbc.balance import convex_hull
 from shared.wbc.contacts import CORNER_MARGIN, POINTS_PER_FOOT, ContactMode
 
 # At a point that carries less, the direction of the force means nothing [N].
@@ -94,7 +95,7 @@ class PoseModel:
             friction_edges=np.vstack(edges),
             friction_used=np.concatenate(used),
             centre_of_pressure=_centre_of_pressure(contact_points, contact_forces[:, 2]),
-            support_polygon=on_the_ground(convex_hull(contact_points[:, :2])),
+            support_polygon=on_the_ground(closed_hull(contact_points[:, :2])),
         )
 
     def _friction_used(self, forces: np.ndarray) -> np.ndarray:
@@ -118,24 +119,7 @@ def on_the_ground(points: np.ndarray) -> np.ndarray:
     return np.column_stack([points[:, :2], np.zeros(len(points))])
 
 
-def convex_hull(points: np.ndarray) -> np.ndarray:
-    """Return the convex hull of points (n, 2), counter-clockwise and closed: Andrew's chain."""
-    ordered = sorted({(float(x), float(y)) for x, y in points})
-    lower = _chain(ordered)
-    upper = _chain(ordered[::-1])
-    return np.array(lower[:-1] + upper)
-
-
-def _chain(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the points that turn left all the way from the first to the last."""
-    chain: list[tuple[float, float]] = []
-    for point in points:
-        while len(chain) >= 2 and _turn(chain[-2], chain[-1], point) <= 0.0:
-            chain.pop()
-        chain.append(point)
-    return chain
-
-
-def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
-    """Return a positive number if a → b → c turns left."""
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+def closed_hull(points: np.ndarray) -> np.ndarray:
+    """Return the convex hull of points (n, 2), counter-clockwise, with its first corner again."""
+    hull = convex_hull(points)
+    return np.array([*hull, hull[0]])

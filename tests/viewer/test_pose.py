@@ -8,7 +8,7 @@ import pytest
 
 from shared.robots import Robot
 from shared.wbc.contacts import CORNER_MARGIN, ContactMode
-from viewer.pose import PoseModel, convex_hull
+from viewer.pose import PoseModel, closed_hull
 
 # Kinematics in float64 on lengths of about a metre and forces of about 100 N.
 EXACT = 1e-9
@@ -101,7 +101,7 @@ def test_the_support_polygon_lies_on_the_ground_around_all_contact_points(
 
 def test_the_hull_leaves_inner_and_repeated_points_out() -> None:
     square = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
-    hull = convex_hull(np.array([*square, [0.5, 0.5], [0.5, 0.0], [1.0, 1.0]]))
+    hull = closed_hull(np.array([*square, [0.5, 0.5], [0.5, 0.0], [1.0, 1.0]]))
     np.testing.assert_array_equal(hull, [*square, square[0]])
 
 
