@@ -55,10 +55,10 @@ class InverseTest:
             stationary = np.empty_like(y)
             stationary[:n_a] = A.T @ (A @ a) + self._damping * a - E_a.T @ nu
             stationary[n_a:] = self._stack.force_weight * f - E_f.T @ nu[:N_DYNAMICS]
-            wrong = max(
+            errors = (
                 wrong_A,
                 np.abs((stationary - g) / self._root).max(),
                 np.abs((E_y - e) / length).max(),
             )
-        # Written so that a number that is none fails.
-        return bool(wrong <= self.tolerance) and bool(wrong_A <= self.tolerance)
+        # Each is compared, because the largest of numbers need not be the one that is none.
+        return all(error <= self.tolerance for error in errors)

@@ -109,6 +109,15 @@ def test_numbers_that_overflow_are_refused(make, size):
     assert not test.passes(matrices, huge)
 
 
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+@pytest.mark.parametrize("name", BLOCKS)
+def test_a_single_number_that_is_not_finite_is_refused(make, name, number):
+    matrices, factorisation, test = make(MODES[0])
+    block = getattr(factorisation, name).copy()
+    block[0, 0] = number
+    assert not test.passes(matrices, dataclasses.replace(factorisation, **{name: block}))
+
+
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("name", ["P", "Q", "T"])
 def test_the_power_of_the_test_ends_at_a_part_in_a_thousand(make, mode, name, rng):
