@@ -141,18 +141,17 @@ def link_report(
         "link": {},
     }
     directions = LINK_SCHEMA.column(rows, "direction")
+    seconds = float(np.ptp(LINK_SCHEMA.column(rows, "wall_ns"))) * 1e-9 if len(rows) else 0.0
     for k, name in enumerate(DIRECTIONS):
         way = rows[directions == k]
         nominal = LINK_SCHEMA.column(way, "nominal_ns")
         achieved = LINK_SCHEMA.column(way, "achieved_ns")
         passed = achieved >= 0
-        sent_ns = LINK_SCHEMA.column(rows, "wall_ns")
-        seconds = float(np.ptp(sent_ns)) * 1e-9 if len(rows) else 0.0
-        n_bytes = float(LINK_SCHEMA.column(way, "bytes").sum())
+        n_bytes = LINK_SCHEMA.column(way, "bytes")
         report["link"][name] = {
-            "bytes_per_second": round(n_bytes / seconds, 1) if seconds > 0.0 else None,
+            "bytes_per_second": round(float(n_bytes.sum()) / seconds, 1) if seconds > 0.0 else None,
             "dropped_by_profile": int(np.sum(~passed)),
-            "bytes_per_message": quantiles(LINK_SCHEMA.column(way, "bytes")),
+            "bytes_per_message": quantiles(n_bytes),
             "nominal_delay_ms": quantiles(nominal[passed] * 1e-6),
             "delay_error_ms": quantiles((achieved - nominal)[passed] * 1e-6),
         }
