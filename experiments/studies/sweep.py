@@ -134,8 +134,7 @@ def sweep(
                         row_of(trial, record, study.columns)  # raises for an unknown column
                         fell = record["error"] is None and record["summary"]["fell"]
                         progress.finished(fell=fell, left=study.max_left(missing))
-            played_by = {"workers": workers, "scheduler": scheduler}
-            about = about_now(study) | progress.about() | played_by
+            made = progress.about() | {"workers": workers, "scheduler": scheduler}
         played = [
             (trial, records[trial.identity])
             for sequence in sorted(sequences, key=lambda sequence: sequence.cell)
@@ -143,10 +142,11 @@ def sweep(
         ]
         rows = [row_of(trial, record, study.columns) for trial, record in played]
         write_trials(rows, out)
-        about["trial_seconds"] = sum(record["wall_seconds"] for _, record in played)
-        about["other_code"] = other_codes(record for _, record in played)
         # An earlier sweep may have been killed between its last trial and this file.
         if missing or not (out / "about.json").is_file():
+            about = about_now(study) | made
+            about["trial_seconds"] = sum(record["wall_seconds"] for _, record in played)
+            about["other_code"] = other_codes(record for _, record in played)
             (out / "about.json").write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         where = error.filename or out
