@@ -35,7 +35,8 @@ from shared.robots import load_robot
 
 DEFAULT_DELAYS = "0ms,10ms,25ms,50ms,90ms,150ms,200ms,400ms"
 # The default direction is sideways, where the feet are long enough to show a margin. In a walk the
-# push comes within the third step, when the robot stands on one foot.
+# push comes within the third step, when the robot stands on one foot. A task of your own has the
+# defaults of the balance.
 DEFAULT_PUSHES = {
     "balance": "40N,60N,80N,100N,110N,120N,130N,150N",
     "walk": "10N,20N,30N,40N,50N,60N,80N,100N",
@@ -94,23 +95,24 @@ def study_from(arguments: argparse.Namespace) -> Study:
     config = load_config(arguments.config, given)
     load_robot(config.robot.name)  # an unknown one is an error now, not in a worker
     task = config.task
+    like = task if task in DEFAULT_PUSHES else "balance"
     controllers = _axis("--controllers", arguments.controllers, _controller)
     delays = sorted(_axis("--delays", arguments.delays, _delay), key=parse_duration_ns)
-    pushes = DEFAULT_PUSHES[task] if arguments.pushes is None else arguments.pushes
+    pushes = DEFAULT_PUSHES[like] if arguments.pushes is None else arguments.pushes
     forces = _axis("--pushes", pushes, _force)
     # In a map the first row is on top: the strongest push.
     forces.sort(key=lambda force: -float(force.removesuffix("N")))
     if not re.fullmatch("[+-][xyz]", arguments.direction):
         raise ConfigError(f"--direction: expected ±x, ±y or ±z, got {arguments.direction!r}")
     at = _seconds(
-        "--push-at", DEFAULT_PUSH_AT[task] if arguments.push_at is None else arguments.push_at
+        "--push-at", DEFAULT_PUSH_AT[like] if arguments.push_at is None else arguments.push_at
     )
     if not float(at.removesuffix("s")) < config.duration:
         raise ConfigError(f"--push-at: expected before the end at {config.duration:g} s, got {at}")
     lasting = _seconds("--push-for", arguments.push_for)
     return make_study(
         {
-            "name": f"atlas-{task}",
+            "name": f"atlas-{TASKS.label(task)}",
             "description": "how often a robot falls over constant round trip, push and controller",
             "base": {"task": task, **_changed(config)},
             "grid": {

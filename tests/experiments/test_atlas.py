@@ -65,6 +65,13 @@ def test_a_walk_is_pushed_within_a_step():
     assert "100N@3s:0.2s:-x" in {trial.config.push[0] for trial in trials}
 
 
+def test_a_task_of_ones_own_is_pushed_as_a_balance():
+    study = study_from(parsed("--task", "shared.motion.plan:standing", "--seeds", 1))
+    assert study.name == "atlas-standing"
+    assert {trial.config.task for trial in study.trials} == {"shared.motion.plan:standing"}
+    assert "40N@1s:0.2s:+y" in {trial.config.push[0] for trial in study.trials}
+
+
 def row(fell, *, controller="la", delay="25ms", force="60N", error=None):
     return {
         "controller": controller, "link.network": f"constant:{delay}",
