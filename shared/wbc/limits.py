@@ -37,7 +37,7 @@ class Limits:
     """
 
     def __init__(self, robot: Robot, config: LimitsConfig, *, torque_clamp: float) -> None:
-        self._n = n = len(robot.effort_limit)
+        n = len(robot.effort_limit)
         self.n_entries = 4 * n
         self.clamp = torque_clamp * robot.effort_limit
         self.torque_scale = 1.0 / (config.torque_fraction * self.clamp)
