@@ -29,8 +29,8 @@ class Setting:
 
     A number has to be within its bounds, and finite unless it `may_be_infinite`. A word has to be
     one of `choices`, which is a function if the words take long to find, and `Extensions` if others
-    may add some. `flag` is the option on
-    the command line, `metavar` an example of its value, and `read` makes the value from its text.
+    may add some. `flag` is the option on the command line, `metavar` an example of its value, and
+    `read` makes the value from its text.
     """
 
     default: Any

@@ -74,8 +74,8 @@ class Jacobians:
     """Configuration-dependent terms of A.
 
     `M_unactuated` (6, nv) and `M_actuated` (nv − 6, nv): base and joint rows of the inertia matrix;
-    `J_sole` (6, nv) per foot, in the sole
-    frame; `J_com` (3, nv) in the base frame. None depends on where the base is or how it is turned.
+    `J_sole` (6, nv) per foot, in the sole frame; `J_com` (3, nv) in the base frame. None depends on
+    where the base is or how it is turned.
     """
 
     M_unactuated: np.ndarray
