@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,13 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import in_loop
-from benchmarks.link_paths import end_with_parent
 from benchmarks.start_up import start_up_ns
 from benchmarks.timing import Ratio, header
 from shared.commands import CHECKOUT
 from shared.errors import UserError
 from shared.output.text_table import aligned
-from shared.process.entry import python
+from shared.process.entry import end_with_parent, python
 
 TRIALS = (("balance", "pr"), ("balance", "la"), ("balance", "lc"), ("walk", "la"))
 # Played whole, without a stopwatch; that takes longer, so less often.
@@ -48,7 +46,7 @@ class _Side:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            preexec_fn=end_with_parent if sys.platform == "linux" else None,
+            preexec_fn=end_with_parent(),
         )
 
     def play(self, task: str, controller: str, *, seconds: float | None) -> Durations:

@@ -6,13 +6,11 @@ packet-level shim. `kernel` has the kernel's emulation, `tc … netem`, where th
 
 from __future__ import annotations
 
-import ctypes
 import os
 import select
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -21,20 +19,14 @@ from pathlib import Path
 
 from netem.tun import DEVICE, EDGE_ADDRESS, ROBOT_ADDRESS, why_not_permitted
 from shared.errors import LinkError
-from shared.process.entry import python
+from shared.process.entry import end_with_parent, python
 
 READY_SECONDS = 60.0
 _END_SECONDS = 30.0
-_PR_SET_PDEATHSIG = 1
 _NAMESPACES = ("wbc-bench-robot", "wbc-bench-edge")
 _PORT = 7460
 # 10 s of 40 kB messages in packets of 1500 bytes: the kernel's default of 1000 would drop most.
 _KERNEL_PACKETS = 300_000
-
-
-def end_with_parent() -> None:
-    """In a child: ask for SIGTERM when the parent dies, even if it is killed."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 class Started:
@@ -45,7 +37,7 @@ class Started:
         self._popen = subprocess.Popen(
             [*prefix, *python("-m", *arguments)],
             stdout=subprocess.PIPE,
-            preexec_fn=end_with_parent if sys.platform == "linux" else None,
+            preexec_fn=end_with_parent(),
         )
         self._heard = b""
 

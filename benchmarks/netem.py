@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -21,7 +20,6 @@ import numpy as np
 from benchmarks.link_paths import (
     LinkPath,
     direct,
-    end_with_parent,
     kernel,
     packets,
     shim,
@@ -32,7 +30,7 @@ from benchmarks.timing import cores_busy, machine
 from netem.profile import DIRECTIONS
 from netem.tun import why_not_permitted
 from shared.output.versions import versions
-from shared.process.entry import python
+from shared.process.entry import end_with_parent, python
 
 _LOADS = ("idle", "loaded")
 # Half of a constant:20ms.
@@ -128,8 +126,7 @@ def _try(case: _Case, load: str, *, seconds: float, answer: bool = False) -> Lin
 @contextmanager
 def _busy_processes(count: int) -> Iterator[None]:
     command = python("-c", "while True: pass")
-    preexec = end_with_parent if sys.platform == "linux" else None
-    processes = [subprocess.Popen(command, preexec_fn=preexec) for _ in range(count)]
+    processes = [subprocess.Popen(command, preexec_fn=end_with_parent()) for _ in range(count)]
     try:
         yield
     finally:

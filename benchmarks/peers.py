@@ -35,7 +35,6 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from benchmarks.link_paths import end_with_parent
 from benchmarks.timing import Ratio, header
 from edge_node.node import EdgeNode
 from experiments.lockstep import Lockstep
@@ -48,7 +47,7 @@ from shared.config.settings import RunConfig, SensorConfig
 from shared.errors import LinkError, UserError
 from shared.motion.standing import Standing
 from shared.output.text_table import aligned
-from shared.process.entry import python
+from shared.process.entry import end_with_parent, python
 from shared.robots import Foot, Robot, load_robot
 from shared.telemetry.row_log import RowLog
 from shared.wbc.contacts import CORNER_MARGIN, ContactMode
@@ -258,7 +257,7 @@ def _peer(interpreter: Path, case: Path) -> Iterator[_Peer]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        preexec_fn=end_with_parent if sys.platform == "linux" else None,
+        preexec_fn=end_with_parent(),
     )
     with process:
         try:

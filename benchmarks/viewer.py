@@ -12,7 +12,6 @@ import itertools
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -22,14 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.link_paths import end_with_parent
 from benchmarks.timing import cores_busy, machine
 from deploy.background.state import READY, StackFolder
 from deploy.plan import VIEWER
 from shared.errors import ConfigError, LinkError
 from shared.output.text_table import aligned
 from shared.output.versions import versions
-from shared.process.entry import python
+from shared.process.entry import end_with_parent, python
 from shared.telemetry.metrics import in_task
 from shared.telemetry.parquet import read_parquet
 
@@ -172,7 +170,7 @@ def _up(case: Case, folder: Path, *, seconds: float) -> Iterator[subprocess.Pope
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
-            preexec_fn=end_with_parent if sys.platform == "linux" else None,
+            preexec_fn=end_with_parent(),
         )
     try:
         yield up

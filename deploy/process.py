@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ctypes
 import os
 import signal
-import sys
 from asyncio.subprocess import Process
 from collections.abc import Sequence
 
-_PR_SET_PDEATHSIG = 1
-# Loaded before any fork: after it, another thread may hold the loader's lock for ever.
-_LIBC = ctypes.CDLL(None)
+from shared.process.entry import end_with_parent
 
 
 async def start_process(command: Sequence[str], *, held: bool = False) -> Process:
@@ -27,7 +23,7 @@ async def start_process(command: Sequence[str], *, held: bool = False) -> Proces
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.STDOUT,
         start_new_session=True,
-        preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+        preexec_fn=end_with_parent(),
     )
 
 
@@ -48,7 +44,3 @@ def kill_group(process: Process) -> None:
 def _signal_group(process: Process, number: int) -> None:
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, number)
-
-
-def _die_with_parent() -> None:
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

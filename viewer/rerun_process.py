@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import importlib.util
 import os
 import re
-import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -17,11 +14,11 @@ from pathlib import Path
 from typing import IO
 
 from shared.errors import UserError
+from shared.process.entry import end_with_parent
 
 HOST = "127.0.0.1"
 START_TIMEOUT = 30.0
 _BINARIES = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
-_PR_SET_PDEATHSIG = 1
 
 
 class RerunProcess:
@@ -35,7 +32,7 @@ class RerunProcess:
             stdout=subprocess.DEVNULL,
             stderr=self._errors,
             env={**os.environ, "RUST_LOG": "error", "RERUN_APP_ONLY": "true"},
-            preexec_fn=_die_with_parent() if sys.platform == "linux" else None,
+            preexec_fn=end_with_parent(),
         )
 
     @property
@@ -88,9 +85,3 @@ def free_port(preferred: int = 0) -> int:
         except OSError:
             probe.bind((HOST, 0))
         return int(probe.getsockname()[1])
-
-
-def _die_with_parent() -> Callable[[], None]:
-    # Loaded before the fork: the child may only make the system call.
-    libc = ctypes.CDLL(None)
-    return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM) and None

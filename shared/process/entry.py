@@ -9,12 +9,15 @@ import importlib.util
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
+
+_PR_SET_PDEATHSIG = 1
 
 _LIBRARY_PATH = "LD_LIBRARY_PATH"
 # The packages with native libraries whose versions decide the results.
@@ -24,6 +27,25 @@ _OWN = ("numpy", "pinocchio", "zenoh")
 def python(*arguments: str) -> list[str]:
     """Return the command line of this Python, isolated, with UTF-8 and unbuffered output."""
     return [sys.executable, "-I", "-X", "utf8", "-u", *arguments]
+
+
+def end_with_parent() -> Callable[[], None] | None:
+    """Return the `preexec_fn` of a child that gets SIGTERM when its parent ends, even if killed.
+
+    It is None on systems without such a signal.
+    """
+    if sys.platform != "linux":
+        return None
+    # Imported here: most processes start no child.
+    import ctypes
+
+    # Loaded before the fork: after it, another thread may hold the loader's lock for ever.
+    prctl = ctypes.CDLL(None).prctl
+
+    def ask() -> None:
+        prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+    return ask
 
 
 def enter() -> None:
