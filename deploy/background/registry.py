@@ -13,10 +13,9 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from deploy.background.state import StackFolder, StackState, open_private, private_folder
+from deploy.background.state import StackFolder, StackState, hold_private
 from shared.commands import CHECKOUT, wbc
 from shared.errors import ConfigError, writing
-from shared.file_lock import lock
 
 _LOCK_SECONDS = 10.0
 
@@ -74,16 +73,7 @@ class Registry:
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
         """Lock the registry, so that two stacks that start at once are added one by one."""
-        private_folder(self._folder, what="up")
         path = self._folder / ".lock"
-        try:
-            held = open_private(path)
-        except OSError as error:
-            raise ConfigError(f"up: cannot write {path}: {error.strerror}") from None
-        with held:
-            if not lock(held, within=_LOCK_SECONDS):
-                raise ConfigError(
-                    f"up: another process has held {path} for {_LOCK_SECONDS:g} s; end it, or try "
-                    "again"
-                )
+        held_by = f"another process has held {path} for {_LOCK_SECONDS:g} s; end it, or try again"
+        with hold_private(path, what="up", within=_LOCK_SECONDS, held_by=held_by):
             yield

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from shared.commands import wbc
-from shared.errors import ConfigError
+from shared.errors import ConfigError, writing
 from shared.file_lock import is_locked, lock
 
 STARTING, READY, STOPPING, ENDED = "starting", "ready", "stopping", "ended"
@@ -91,12 +91,12 @@ def process_started(pid: int) -> int | None:
     return int(text.rpartition(")")[2].split()[19])
 
 
-def private_folder(folder: Path, *, what: str) -> None:
+def _private_folder(folder: Path, *, what: str) -> None:
     """Make a folder that no other user may enter.
 
     Raise `ConfigError`, which begins with `what`, if that is impossible.
     """
-    try:
+    with writing(folder, what=what):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if folder.stat().st_uid != os.geteuid():
             raise ConfigError(
@@ -104,8 +104,6 @@ def private_folder(folder: Path, *, what: str) -> None:
                 "it, or use a copy of the project of your own"
             )
         folder.chmod(0o700)
-    except OSError as error:
-        raise ConfigError(f"{what}: cannot write {folder}: {error.strerror}") from None
 
 
 def open_private(path: Path) -> TextIO:
@@ -114,6 +112,21 @@ def open_private(path: Path) -> TextIO:
     # The file may be older than this rule.
     os.fchmod(descriptor, 0o600)
     return os.fdopen(descriptor, "r+", encoding="utf-8")
+
+
+def hold_private(path: Path, *, what: str, within: float, held_by: str) -> TextIO:
+    """Make a private folder with a file in it, and hold the file's lock until it is closed.
+
+    Raise `ConfigError`, which begins with `what`, if the file cannot be written, or with the text
+    `held_by` if another process holds its lock for `within` [s].
+    """
+    _private_folder(path.parent, what=what)
+    with writing(path, what=what):
+        held = open_private(path)
+    if not lock(held, within=within):
+        held.close()
+        raise ConfigError(f"{what}: {held_by}")
+    return held
 
 
 class LineFile:
@@ -155,15 +168,8 @@ class StackFolder:
 
         Raise `ConfigError` if the folder cannot be written, or if another process holds the lock.
         """
-        private_folder(self.folder, what="out")
-        try:
-            held = open_private(self._lock)
-        except OSError as error:
-            raise ConfigError(f"out: cannot write {self._lock}: {error.strerror}") from None
-        if not lock(held, within=_LOCK_SECONDS):
-            held.close()
-            raise ConfigError(f"out: another stack uses {self.run}; try another --out")
-        return held
+        held_by = f"another stack uses {self.run}; try another --out"
+        return hold_private(self._lock, what="out", within=_LOCK_SECONDS, held_by=held_by)
 
     @property
     def alive(self) -> bool:

@@ -20,7 +20,7 @@ import numpy as np
 
 from shared.bus.security import DEFAULT_FOLDER, Credentials, robot_role
 from shared.bus.zenoh_bus import ZenohBus
-from shared.errors import ConfigError
+from shared.errors import ConfigError, writing
 from shared.telemetry.lives import begin_life
 from shared.telemetry.parquet import write_parquet
 from shared.telemetry.row_log import RowLog
@@ -170,10 +170,8 @@ class ServiceLog:
             begin_life(out, name)
         # Rows for which the file has no room are still published.
         path = self._folder / f"{name}.rows"
-        try:
+        with writing(path, what="out"):
             self.rows = RowLog(schema, path=path, publish=publish, at_most=_MAX_ROWS)
-        except OSError as error:
-            raise ConfigError(f"out: cannot write {path}: {error.strerror}") from None
 
     def row(self) -> np.ndarray:
         """Return the next row to fill."""
