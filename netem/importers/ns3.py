@@ -35,7 +35,7 @@ from netem.importers.measured import (
     without_unfinished,
 )
 from netem.importers.ns3_epochs import read_epochs
-from netem.importers.ns3_rows import EPOCH, EVENT, RECEPTION, SENDING, layout, rows
+from netem.importers.ns3_rows import EPOCH, EVENT, RECEPTION, SENDING, delay_ns, layout, rows
 from netem.importers.options import Options
 from netem.importers.source import content_lines, first_line, nanoseconds, whole, wrong
 from shared.errors import ProfileError
@@ -70,7 +70,7 @@ def read_ns3(path: Path, options: Options, direction: int) -> Measured:
     if found.shape == EVENT:
         return _events(path, options, direction)
     if found.shape == RECEPTION:
-        return _receptions(path, options, direction)
+        return _receptions(path, options, direction, headless=found.headless)
     raise ProfileError(
         f"{path}: expected ns-3's receptions, got its sendings, which have no delays; give both, "
         f"as in {path.name.replace('Tx', 'Rx')} {path.name} OUT"
@@ -84,10 +84,10 @@ def _events(path: Path, options: Options, direction: int) -> Measured:
     origins: dict[int, list[int]] = defaultdict(list)
     untimed: dict[int, list[int]] = defaultdict(list)
     sent, delays = array("q"), array("q")
-    for where, row in ((each.where, each.cells) for each in rows(path, options, EVENT)):
+    for where, row in rows(path, options, EVENT):
         time = nanoseconds(row[1], _S, path, where, "a time in s")
         size = whole(row[3], path, where, "a size in bytes", low=0, high=2**31)
-        delay = _delay(row[4], 1, path, where, "a delay in whole ns")
+        delay = delay_ns(row[4], 1, path, where, "a delay in whole ns")
         end = max(end, time)
         if row[0].lower() == "tx":
             sendings[size].append(time)
@@ -111,16 +111,16 @@ def _events(path: Path, options: Options, direction: int) -> Measured:
     return one_way(direction, way, *notes)
 
 
-def _receptions(path: Path, options: Options, direction: int) -> Measured:
+def _receptions(path: Path, options: Options, direction: int, *, headless: bool) -> Measured:
     times, delays = array("q"), array("q")
     origins: dict[int, list[int]] = defaultdict(list)
     end = 0
-    found = layout(first_line(path))
-    unit_ns, unit = (1, "whole ns") if found is not None and found.headless else (_S, "s")
-    for where, row in ((each.where, each.cells) for each in rows(path, options, RECEPTION)):
-        delays.append(_delay(row[3], unit_ns, path, where, f"a delay in {unit}"))
-        end = max(end, nanoseconds(row[0], _S, path, where, "a time in s"))
-        times.append(nanoseconds(row[0], _S, path, where, "a time in s") - delays[-1])
+    unit_ns, unit = (1, "whole ns") if headless else (_S, "s")
+    for where, row in rows(path, options, RECEPTION):
+        delays.append(delay_ns(row[3], unit_ns, path, where, f"a delay in {unit}"))
+        received = nanoseconds(row[0], _S, path, where, "a time in s")
+        end = max(end, received)
+        times.append(received - delays[-1])
         size = whole(row[2], path, where, "a size in bytes", low=0, high=2**31)
         origins[size].append(times[-1])
     sendings = options.beside.get(path) or _sibling(path)
@@ -148,7 +148,7 @@ def _sibling(path: Path) -> Path | None:
 def _sendings(path: Path, options: Options) -> dict[int, list[int]]:
     """Times of sending by size [ns]."""
     sent: dict[int, list[int]] = defaultdict(list)
-    for where, row in ((each.where, each.cells) for each in rows(path, options, SENDING)):
+    for where, row in rows(path, options, SENDING):
         size = whole(row[2], path, where, "a size in bytes", low=0, high=2**31)
         sent[size].append(nanoseconds(row[0], _S, path, where, "a time in s"))
     return sent
@@ -191,10 +191,3 @@ def _unanswered(sendings: list[int], origins: list[int], untimed: list[int]) -> 
         if before:
             del missing[before - 1]
     return missing
-
-
-def _delay(text: str, unit_ns: int, path: Path, where: str, what: str) -> int:
-    delay = nanoseconds(text, unit_ns, path, where, what)
-    if delay < 0:
-        raise wrong(path, where, what, text)
-    return delay

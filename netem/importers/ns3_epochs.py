@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from netem.importers.measured import UNITS_NS, Measured, one_way, ordered, unfinished_note
-from netem.importers.ns3_rows import Row
+from netem.importers.ns3_rows import Row, delay_ns
 from netem.importers.options import Options
 from netem.importers.resample import check_span
 from netem.importers.source import nanoseconds, whole, wrong
@@ -81,16 +81,14 @@ def read_epochs(path: Path, rows: Iterable[Row], options: Options, direction: in
 
 
 def _epoch(path: Path, row: Row) -> _Epoch:
-    where, cells = row.where, row.cells
+    where, cells = row
     start, end = (nanoseconds(cell, _S, path, where, "a time in s") for cell in cells[:2])
     if end <= start:
         raise wrong(path, where, "an end after the start", f"{cells[0]} … {cells[1]}")
     sent, received = (
         whole(cell, path, where, "a count of PDUs", low=0, high=10**12) for cell in cells[3:5]
     )
-    delay = nanoseconds(cells[5], _S, path, where, "a delay in s")
-    if delay < 0:
-        raise wrong(path, where, "a delay in s", cells[5])
+    delay = delay_ns(cells[5], _S, path, where, "a delay in s")
     return _Epoch(start, end, sent, received, delay)
 
 

@@ -16,9 +16,10 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from netem.importers.options import Options
-from netem.importers.source import content_lines, whole, wrong
+from netem.importers.source import content_lines, nanoseconds, whole, wrong
 from shared.errors import ProfileError
 
 _DATA_LCID = 3
@@ -62,8 +63,7 @@ def layout(first_line: str) -> Layout | None:
     return Layout(names, EVENT, headless=True)
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A row: its place in the file, and its cells in the order of the shape."""
 
     where: str
@@ -120,6 +120,14 @@ def rows(path: Path, options: Options, shape: tuple[str, ...]) -> Iterator[Row]:
             f"{path}: expected rows of a data bearer (LCID ≥ {_DATA_LCID})"
             f"{' of ' * bool(asked)}{asked}, found none{there}"
         )
+
+
+def delay_ns(text: str, unit_ns: int, path: Path, where: str, what: str) -> int:
+    """Return a delay in units of `unit_ns` as ns; `ProfileError` if it is negative."""
+    delay = nanoseconds(text, unit_ns, path, where, what)
+    if delay < 0:
+        raise wrong(path, where, what, text)
+    return delay
 
 
 def _listed(terminals: dict[tuple[int, ...], str]) -> str:
