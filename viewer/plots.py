@@ -72,14 +72,12 @@ _SOURCE_COLOURS: dict[Source, Colour] = {
     Source.STOPPING: ORANGE,
 }
 SOURCE_LANE = Lane("lanes/command", {each.label: _SOURCE_COLOURS[each] for each in Source})
-MODE_NAMES = {
-    ContactMode.DOUBLE_SUPPORT: "both feet",
-    ContactMode.LEFT_SUPPORT: "left foot",
-    ContactMode.RIGHT_SUPPORT: "right foot",
+_MODE_COLOURS: dict[ContactMode, Colour] = {
+    ContactMode.DOUBLE_SUPPORT: GREY,
+    ContactMode.LEFT_SUPPORT: (176, 120, 48),
+    ContactMode.RIGHT_SUPPORT: CYAN,
 }
-MODE_LANE = Lane(
-    "lanes/contact", dict(zip(MODE_NAMES.values(), (GREY, (176, 120, 48), CYAN), strict=True))
-)
+MODE_LANE = Lane("lanes/contact", {each.label: _MODE_COLOURS[each] for each in ContactMode})
 
 OVERRUN_PATH = "plots/compute/overrun"
 ACTIVE_SET_PATH = "plots/active_set"

@@ -24,7 +24,6 @@ from viewer.plots import (
     LINK_LANES,
     LINKS,
     MODE_LANE,
-    MODE_NAMES,
     OVERRUN_PATH,
     SOLVE_SERIES,
     SOURCE_LANE,
@@ -120,7 +119,7 @@ class Scene:
             self._recorder.peaks(series.path, instants, series.values(schema, rows))
         sources, modes = (schema.column(rows, name).astype(int) for name in ("source", "mode"))
         self._recorder.lane(SOURCE_LANE.path, instants, sources, list(SOURCE_LANE.states))
-        self._recorder.lane(MODE_LANE.path, instants, modes, list(MODE_NAMES.values()))
+        self._recorder.lane(MODE_LANE.path, instants, modes, list(MODE_LANE.states))
         overruns = schema.column(rows, "overruns")
         # Overruns in the first row come from the wait, or from before this viewer was started.
         before = overruns[0] if self._overruns is None else self._overruns

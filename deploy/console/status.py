@@ -24,11 +24,6 @@ _BARS = "▁▂▃▄▅▆▇█"
 _LEAST_MS, _MAX_MS = 1.0, 1000.0
 # The largest and the smallest number of bars.
 _LONGEST, _SHORTEST = 40, 8
-_FEET = {
-    ContactMode.DOUBLE_SUPPORT: "both feet",
-    ContactMode.LEFT_SUPPORT: "left foot",
-    ContactMode.RIGHT_SUPPORT: "right foot",
-}
 
 
 class Status:
@@ -106,7 +101,7 @@ class Status:
         parts = [f"projector age {age_ns * 1e-6:.1f} ms"] if age_ns >= 0 else []
         parts.append(f"CoM error {100 * last['com_error_m']:.1f} cm")
         if self._walks:
-            parts.append(f"{_FEET[ContactMode(int(last['mode']))]:<10}")
+            parts.append(f"{ContactMode(int(last['mode'])).label:<10}")
         parts.append(f"overruns {int(last['overruns'])}")
         if self.refused:
             parts.append(f"{self.refused} blocks refused")

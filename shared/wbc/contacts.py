@@ -29,6 +29,13 @@ class ContactMode(enum.IntEnum):
     RIGHT_SUPPORT = 2
 
     @property
+    def label(self) -> str:
+        """Its name in the terminal and in the view."""
+        if self is ContactMode.DOUBLE_SUPPORT:
+            return "both feet"
+        return f"{self.feet[0].value} foot"
+
+    @property
     def feet(self) -> tuple[Foot, ...]:
         """The loaded feet, left before right."""
         return _LOADED[self]
