@@ -38,7 +38,7 @@ class Status:
         self._ticks = ticks
         self._duration = duration
         self._walks = walks
-        self._tick: tuple[Schema, np.ndarray] | None = None
+        self._rows: np.ndarray | None = None
         self._delay_ms: list[float | None] = [None, None]
         self._lost = [False, False]
         self._delays_ms: deque[float] = deque(maxlen=_LONGEST)
@@ -48,9 +48,9 @@ class Status:
         with self._refusing():
             _, rows = decode_rows(delivery.data, self._ticks)
             _check_finite(self._ticks, rows, _SHOWN)
-            self._tick = self._ticks, rows
+            self._rows = rows
             self.events.take_ticks(self._ticks, rows)
-            delay_ms = self._round_trip_ms(self._ticks, rows)
+            delay_ms = self._round_trip_ms(rows)
             if delay_ms is not None:
                 self._delays_ms.append(delay_ms)
 
@@ -87,9 +87,9 @@ class Status:
 
         Until the robot has begun, the line says that it waits.
         """
-        if self._tick is None:
+        schema, rows = self._ticks, self._rows
+        if rows is None:
             return "waiting for the robot"[:columns]
-        schema, rows = self._tick
         last = {name: rows[-1, where][0] for name, where in schema.slices.items()}
         time_ns = last["time_ns"]
         if time_ns < 0:
@@ -123,13 +123,14 @@ class Status:
         delay_ms = self._delay_ms[direction]
         return "-" if delay_ms is None else f"{delay_ms:.1f}"
 
-    def _round_trip_ms(self, schema: Schema, rows: np.ndarray) -> float | None:
+    def _round_trip_ms(self, rows: np.ndarray) -> float | None:
         """Return the round trip [ms], or the time without a message if an outage makes it longer.
 
         The time without a message is the time since the last state came out of the shim, or the age
         of the answer in use. The age counts only if the answer is used as it came. Without a shim
         here the result is that age.
         """
+        schema = self._ticks
         source = Source(schema.column(rows, "source")[-1]).label
         age_ns = float(schema.column(rows, "projector_age_ns")[-1])
         as_it_came = source in ("fresh", "cached") and age_ns >= 0
