@@ -17,6 +17,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from deploy.process_stat import processor_seconds
 from netem.tun import DEVICE, EDGE_ADDRESS, ROBOT_ADDRESS, why_not_permitted
 from shared.errors import LinkError
 from shared.process.entry import end_with_parent, python
@@ -62,9 +63,7 @@ class Started:
 
     def processor_seconds(self) -> float:
         """Return the user and system time so far [s]."""
-        stat = Path(f"/proc/{self._popen.pid}/stat").read_text(encoding="utf-8")
-        user, system = stat.rpartition(")")[2].split()[11:13]
-        return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+        return processor_seconds(self._popen.pid)
 
     def end(self) -> None:
         """Ask the process to stop."""

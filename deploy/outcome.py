@@ -8,7 +8,6 @@ part is then made from the rows.
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 from collections import Counter
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from deploy.process_stat import processor_seconds
 from shared.commands import wbc
 from shared.config.extensions import corrects
 from shared.config.settings import RunConfig
@@ -132,7 +132,7 @@ def record(run: Path, say: Callable[[str], None]) -> None:
                 output, _ = making.communicate(timeout=_IDLE_SECONDS)
                 break
             except subprocess.TimeoutExpired:
-                before, used = used, _processor_seconds(making.pid)
+                before, used = used, processor_seconds(making.pid)
                 if used - before < _IDLE_SHARE * _IDLE_SECONDS:
                     making.kill()
                     making.communicate()
@@ -144,13 +144,6 @@ def record(run: Path, say: Callable[[str], None]) -> None:
                     break
     for line in output.splitlines():
         say(line)
-
-
-def _processor_seconds(pid: int) -> float:
-    """Return the processor time of a process so far [s]."""
-    text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
-    user, system = text.rpartition(")")[2].split()[11:13]
-    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 _Rows = tuple[Schema, np.ndarray]

@@ -27,13 +27,13 @@ from deploy.background.state import (
     StackFolder,
     StackState,
     exit_in_words,
-    process_started,
 )
 from deploy.console.terminal import Terminal
 from deploy.console.watch import open_hub, private_socket, status_of, tell
 from deploy.neighbours import Neighbours
 from deploy.outcome import record, summarise
 from deploy.plan import ROBOT, VIEWER, Plan, PlannedService
+from deploy.process_stat import process_started
 from deploy.services import HELD, IGNORED, OUTCOME
 from deploy.supervisor import Launch, Supervisor
 from shared.commands import wbc

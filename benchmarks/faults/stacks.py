@@ -17,6 +17,7 @@ import pyarrow as pa
 
 from deploy.background.state import ENDED, READY, StackFolder, StackState
 from deploy.outcome import STEMS, SUMMARY
+from deploy.process_stat import process_stat
 from shared.errors import ConfigError, LinkError
 from shared.file_lock import is_locked
 from shared.process.entry import python
@@ -201,10 +202,9 @@ def pid_of(run: Path, service: str) -> int:
 def lives(pid: int) -> bool:
     """Return whether a process runs. A killed one that its parent has not asked about does not."""
     try:
-        stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+        return process_stat(pid)[0] not in "ZX"
     except OSError:
         return False
-    return stat.rpartition(")")[2].split()[0] not in "ZX"
 
 
 def rows_in(file: Path) -> int:

@@ -23,9 +23,9 @@ from deploy.background.state import (
     StackFolder,
     StackState,
     exit_in_words,
-    process_started,
 )
 from deploy.console.terminal import Terminal, service_line
+from deploy.process_stat import process_started
 from deploy.services import load_services
 from shared.bus.security import robot_name
 from shared.commands import wbc

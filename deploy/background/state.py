@@ -60,7 +60,7 @@ def exit_in_words(code: int) -> str:
 class StackState:
     """A stack: its supervisor's process, its services, and how it ended, if it has.
 
-    `started` tells the process from a later one with the same number: see `process_started`.
+    `started` tells the process from a later one with the same number: see `deploy.process_stat`.
     `robot` is the name on the link, `named` every service of the plan, `services` the services that
     have been started. `state` and `since` are as in `ServiceState`.
     """
@@ -79,16 +79,6 @@ class StackState:
     def degraded(self) -> tuple[str, ...]:
         """The names of the degraded services."""
         return tuple(service.name for service in self.services if service.degraded)
-
-
-def process_started(pid: int) -> int | None:
-    """Return when a process started [ticks of the kernel since boot]; None if it is unknown."""
-    try:
-        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
-    except OSError:
-        return None
-    # The name of the program, in brackets, may have spaces and brackets.
-    return int(text.rpartition(")")[2].split()[19])
 
 
 def _private_folder(folder: Path, *, what: str) -> None:

@@ -21,8 +21,8 @@ from deploy.background.state import (
     ServiceState,
     StackFolder,
     StackState,
-    process_started,
 )
+from deploy.process_stat import process_started
 from shared.errors import ConfigError, LinkError
 from shared.file_lock import lock
 from shared.process.entry import python
