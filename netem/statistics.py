@@ -79,10 +79,8 @@ def delays_ms(profile: DelayProfile, link: str) -> np.ndarray:
 def outages(delays: np.ndarray) -> list[ObservedOutage]:
     """The outages of one way [ms] (n,), in order."""
     threshold = max(OUTAGE_MS, 2.0 * float(np.median(delays[np.isfinite(delays)])))
-    caught = np.concatenate([[False], delays > threshold, [False]])
-    edges = np.flatnonzero(np.diff(caught.astype(np.int8)))
     found = []
-    for first, end in edges.reshape(-1, 2):
+    for first, end in _runs(delays > threshold):
         within = delays[first:end]
         passed = within[np.isfinite(within)]
         found.append(
@@ -93,8 +91,13 @@ def outages(delays: np.ndarray) -> list[ObservedOutage]:
 
 def longest_run(marked: np.ndarray) -> int:
     """The length of the longest run of marks."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
-    return int(np.diff(edges.reshape(-1, 2)).max(initial=0))
+    return int(np.diff(_runs(marked)).max(initial=0))
+
+
+def _runs(marked: np.ndarray) -> np.ndarray:
+    """Return the first index of each run of marks and the index after its last, (n, 2)."""
+    edges = np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8))
+    return np.flatnonzero(edges).reshape(-1, 2)
 
 
 def statistics(profiles: Sequence[DelayProfile], link: str) -> DelayStatistics:
