@@ -13,6 +13,7 @@ import sysconfig
 from pathlib import Path
 
 from pip._vendor.packaging.markers import Marker
+from pip._vendor.packaging.utils import canonicalize_name
 
 # A line of `uv pip compile`: NAME[EXTRAS]==VERSION ; MARKER \
 _PIN = re.compile(r"^([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^ ;\\]+)(?: *; *([^\\]*))?", re.M)
@@ -25,18 +26,15 @@ def missing(lock: str) -> list[str]:
     """
     folder = sysconfig.get_path("purelib")
     found = {
-        _normal(each.metadata["Name"]): each.version
+        canonicalize_name(each.metadata["Name"]): each.version
         for each in importlib.metadata.distributions(path=[folder])
     }
     return [
-        f"{name} {version} ({found.get(_normal(name), 'none')})"
+        f"{name} {version} ({found.get(canonicalize_name(name), 'none')})"
         for name, version, marker in _PIN.findall(lock)
-        if (not marker or Marker(marker).evaluate()) and found.get(_normal(name)) != version
+        if (not marker or Marker(marker).evaluate())
+        and found.get(canonicalize_name(name)) != version
     ]
-
-
-def _normal(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def main() -> int:
