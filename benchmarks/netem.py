@@ -26,10 +26,9 @@ from benchmarks.link_paths import (
     why_no_kernel,
 )
 from benchmarks.link_trial import LinkTrial, Open, run_trial, way_errors
-from benchmarks.timing import cores_busy, machine
+from benchmarks.timing import cores_busy, header_of_processes
 from netem.profile import DIRECTIONS
 from netem.tun import why_not_permitted
-from shared.output.versions import versions
 from shared.process.entry import end_with_parent, python
 
 _LOADS = ("idle", "loaded")
@@ -72,11 +71,9 @@ def run(*, seconds: float) -> str:
         for load in _LOADS:
             round_trips_ns = _try(case, load, seconds=seconds, answer=True).round_trips_ns()
             trips.append(f"{case.name:30}{load:18}{_quantiles(round_trips_ns)}")
-    packages = ", ".join(f"{name} {version}" for name, version in versions().items())
     return "\n".join(
         [
-            f"{machine()}, {busy:.0%} of the cores busy before the start; {scheduling}",
-            packages,
+            header_of_processes(busy, scheduling),
             f"{seconds:g} s each; loaded: a busy process of ordinary priority for every core",
             "",
             f"{'delay error [ms]':77}released{'':19}received",

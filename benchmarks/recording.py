@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.link_paths import READY_SECONDS, shim, started
-from benchmarks.timing import cores_busy, machine
+from benchmarks.timing import cores_busy, header_of_processes
 from netem.networks import load_profile
 from netem.profile import DIRECTIONS, LOST
 from shared.errors import LinkError
 from shared.output.text_table import aligned
-from shared.output.versions import versions
 from shared.telemetry.parquet import read_parquet
 
 NETWORKS = ("constant:20ms", "factory/011")
@@ -42,11 +41,9 @@ def run(*, seconds: float) -> str:
                     row = _row(replayed[way], recorded[way])
                     lines.append([network, str(generation), name, *row])
                 source = str(out)
-    packages = ", ".join(f"{name} {version}" for name, version in versions().items())
     return "\n".join(
         [
-            f"{machine()}, {busy:.0%} of the cores busy before the start",
-            packages,
+            header_of_processes(busy),
             f"{seconds:g} s each; |recorded − replayed| delay [ms]; lost: by the recording alone",
             "",
             *aligned(lines, left=3),

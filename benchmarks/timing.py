@@ -139,7 +139,20 @@ def table(timings: Sequence[Timing], *, reference: str) -> str:
     return "\n".join(lines)
 
 
+def packages() -> str:
+    """Return the versions that numbers depend on, as a line of text."""
+    return ", ".join(f"{name} {version}" for name, version in versions().items())
+
+
 def header() -> str:
-    """Machine and versions, as a header above the numbers."""
-    packages = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return f"{machine()}; {pin_to_one_core()}; one BLAS thread\n{packages}"
+    """Machine and versions, as a header above the numbers of one pinned process."""
+    return f"{machine()}; {pin_to_one_core()}; one BLAS thread\n{packages()}"
+
+
+def header_of_processes(busy: float, *more: str) -> str:
+    """Machine, its load before the start (`cores_busy`) and versions, above numbers of processes.
+
+    `more` stands after the load.
+    """
+    load = f"{machine()}, {busy:.0%} of the cores busy before the start"
+    return "; ".join([load, *more]) + f"\n{packages()}"

@@ -21,13 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.timing import cores_busy, machine
+from benchmarks.timing import cores_busy, header_of_processes
 from deploy.background.state import READY, StackFolder
 from deploy.plan import VIEWER
 from shared.errors import ConfigError, LinkError
 from shared.output.text_table import aligned
-from shared.output.versions import versions
-from shared.process.entry import end_with_parent, python
 from shared.telemetry.metrics import in_task
 from shared.telemetry.parquet import read_parquet
 
@@ -83,11 +81,9 @@ def run(*, seconds: float, repetitions: int) -> str:
     for _ in range(repetitions):
         for case in CASES:
             played[case].append(play(case, seconds=seconds))
-    packages = ", ".join(f"{name} {version}" for name, version in versions().items())
     return "\n".join(
         [
-            f"{machine()}, {busy:.0%} of the cores busy before the start",
-            packages,
+            header_of_processes(busy),
             f"balance with LA over {_NETWORK}, {seconds:g} s without the first; median of "
             f"{repetitions} (least–most), ratio to the run without a viewer of the same round",
             "",

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 
 from benchmarks.faults.cases import KINDS, WHOLE, Case
 from benchmarks.faults.promises import Outcome, broken, table
-from benchmarks.timing import machine
+from benchmarks.timing import machine, packages
 from experiments.studies.code_identity import code_version
 from shared.errors import ConfigError
-from shared.output.versions import versions
 
 PAGE = "promises.md"
 BEGIN, END = "<!-- evidence: begin -->", "<!-- evidence: end -->"
@@ -28,7 +27,6 @@ def with_evidence(page: str, text: str) -> str:
 def evidence(played: Mapping[Case, Outcome | None]) -> str:
     """Return the evidence as Markdown: cases, machine, versions, promises and faults."""
     seeds = ", ".join(str(seed) for seed in sorted({case.seed for case in played}))
-    packages = ", ".join(f"{name} {version}" for name, version in versions().items())
     counts = []
     for kind in KINDS:
         of_kind = [outcome for case, outcome in played.items() if case.kind == kind]
@@ -39,7 +37,7 @@ def evidence(played: Mapping[Case, Outcome | None]) -> str:
     return "\n\n".join(
         [
             f"Played: {', '.join(counts)}. Seed {seeds}, code `{code_version()}`.",
-            f"Machine: {machine()}. Versions: {packages}.",
+            f"Machine: {machine()}. Versions: {packages()}.",
             "\n".join(table(played.items())),
             "\n".join(_by_fault(played)),
             *_skipped(played),

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import viewer
+from benchmarks import timing, viewer
 from benchmarks.viewer import CASES, Ticks, disturb, read_ticks
 from shared.errors import ConfigError
 from shared.process.entry import python
@@ -96,7 +96,7 @@ def test_the_table_has_a_line_per_case_with_medians_spans_and_ratios(
 
     monkeypatch.setattr(viewer, "play", made_up)
     monkeypatch.setattr(viewer, "cores_busy", lambda *, seconds: 0.25)
-    monkeypatch.setattr(viewer, "machine", lambda: "a machine")
+    monkeypatch.setattr(timing, "machine", lambda: "a machine")
     lines = viewer.run(seconds=10.0, repetitions=3).splitlines()
     assert played[: len(CASES) + 1] == [
         *((case.name, 10.0) for case in CASES),
