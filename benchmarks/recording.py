@@ -70,7 +70,15 @@ def record_replay(network: str, out: Path, *, seconds: float) -> tuple[np.ndarra
         ):
             path.between.wait_for("READY")
             near.wait_for(" periods of ", seconds=seconds + READY_SECONDS)
-    schema, rows = read_parquet(log / "link.parquet")
+    return same_periods(network, out, log / "link.parquet")
+
+
+def same_periods(network: str, out: Path, log: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return the delays that the shim replayed and those recorded in `out` in the same periods.
+
+    Both are (2, n) [ns]. `log` is the shim's log of the replay.
+    """
+    schema, rows = read_parquet(log)
     replayed, recorded = load_profile(network), load_profile(str(out))
     began_ns = int(schema.column(rows, "wall_ns")[0]) - replayed.start_offset_ns(0)
     middles = np.arange(recorded.delays_ns.shape[1]) + 0.5

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.recording import same_periods
 from netem.networks import load_profile
 from netem.profile import LOST
 from netem.recorder.probe import VERSION, version_notice
 from shared.bus.zenoh_bus import ZenohBus
-from shared.telemetry.parquet import read_parquet
 from shared.wire.channels import DOWNLINK, UPLINK
 from tests.processes import PATIENCE_SECONDS, Process, descendants_naming, until
 
@@ -66,14 +66,7 @@ def record_through_shim(
     for process in (shim, far):
         process.signal(signal.SIGINT)
         assert process.wait() == 0, process.output
-    schema, rows = read_parquet(folder / "link.parquet")
-    began_ns = int(schema.column(rows, "wall_ns")[0])
-    replayed, recorded = load_profile(network), load_profile(str(out))
-    n = recorded.delays_ns.shape[1]
-    middles_ns = recorded.metadata["start_ns"] + (np.arange(n) + 0.5) * recorded.period_ns
-    elapsed_ns = middles_ns - began_ns + replayed.start_offset_ns(0)
-    periods = (elapsed_ns // replayed.period_ns).astype(int) % replayed.delays_ns.shape[1]
-    return replayed.delays_ns[:, periods], recorded.delays_ns
+    return same_periods(network, out, folder / "link.parquet")
 
 
 def test_a_recording_on_loopback_is_a_profile_that_replay_accepts(
