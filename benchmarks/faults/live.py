@@ -344,14 +344,7 @@ def _two_edges(them: Stacks, given: Parameters) -> Outcome:
     up, others = _behind_router(them, given, edges=2)
     _, first, _ = others
     code = _interrupted(first)
-    before = rows_in(them.folder / "run/telemetry.rows")
-    until(
-        lambda: (
-            rows_in(them.folder / "run/telemetry.rows") > before + 2000
-            or up.popen.poll() is not None
-        ),
-        "ticks",
-    )
+    _wait_for_ticks(up, them.folder / "run", 2000)
     during = agrees_while_running(them.folder / "run")
     others.remove(first)
     told = code == EXIT_STANDING and (_SILENT not in up.output or _BACK in up.output)
