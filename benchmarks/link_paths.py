@@ -110,14 +110,14 @@ def started(*arguments: str, prefix: tuple[str, ...] = (), wait: bool = True) ->
 @contextmanager
 def direct() -> Iterator[LinkPath]:
     """Loopback, nothing in between."""
-    (endpoint,) = _free_endpoints(1)
+    (endpoint,) = free_endpoints(1)
     yield LinkPath(listen=endpoint, dial=endpoint)
 
 
 @contextmanager
 def shim(network: str, *, out: Path) -> Iterator[LinkPath]:
     """The shim between two loopback connections, ready once the far end listens; logs in `out`."""
-    far, near = _free_endpoints(2)
+    far, near = free_endpoints(2)
     where = ("--listen", near, "--connect", far, "--out", str(out))
     with started("netem", "replay", network, *where, wait=False) as process:
         yield LinkPath(listen=far, dial=near, between=process)
@@ -163,6 +163,18 @@ def why_no_kernel() -> str | None:
         return str(error)
 
 
+def free_endpoints(count: int) -> list[str]:
+    """Return loopback endpoints that no process uses."""
+    sockets = [socket.socket() for _ in range(count)]
+    try:
+        for each in sockets:
+            each.bind(("127.0.0.1", 0))
+        return [f"tcp/127.0.0.1:{each.getsockname()[1]}" for each in sockets]
+    finally:
+        for each in sockets:
+            each.close()
+
+
 def _between_namespaces(protocol: str, between: Started | None) -> LinkPath:
     robot, edge = _NAMESPACES
     endpoint = f"{protocol}/{EDGE_ADDRESS}:{_PORT}"
@@ -184,14 +196,3 @@ def _command(*words: str) -> None:
     if done.returncode != 0:
         reason = (done.stderr.strip() or "no reason given").splitlines()[-1]
         raise LinkError(f"{' '.join(words)}: {reason}")
-
-
-def _free_endpoints(count: int) -> list[str]:
-    sockets = [socket.socket() for _ in range(count)]
-    try:
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [f"tcp/127.0.0.1:{each.getsockname()[1]}" for each in sockets]
-    finally:
-        for each in sockets:
-            each.close()

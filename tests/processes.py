@@ -18,7 +18,6 @@ from typing import TypeVar
 
 from benchmarks.real_path.namespaces import Machine
 from shared.process.entry import python
-from shared.telemetry.row_log import read_rows
 
 ROOT = Path(__file__).resolve().parents[1]
 # Nothing is given up sooner.
@@ -184,14 +183,6 @@ class Process:
         self._reader.join(timeout=PATIENCE_SECONDS)
         assert self.popen.stdout is not None
         self.popen.stdout.close()
-
-
-def rows_in(file: Path) -> int:
-    """The number of rows that a process has written so far."""
-    try:
-        return len(read_rows(file)[1])
-    except (OSError, ValueError):
-        return 0
 
 
 def descendants_naming(text: str) -> list[int]:

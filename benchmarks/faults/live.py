@@ -24,7 +24,6 @@ from benchmarks.faults.stacks import (
     Stacks,
     agrees_after,
     agrees_while_running,
-    free_endpoint,
     has_fallen,
     is_clean,
     is_readable,
@@ -34,6 +33,7 @@ from benchmarks.faults.stacks import (
     state_of,
     until,
 )
+from benchmarks.link_paths import free_endpoints
 from benchmarks.real_path.namespaces import two_machines
 from shared.errors import UserError
 from shared.process.cli import EXIT_FELL, EXIT_STANDING
@@ -284,7 +284,7 @@ def _wrong_edge(them: Stacks, given: Parameters) -> Outcome:
     settings.write_text("[wbc]\nfriction = 0.55\n", encoding="utf-8")
     impatient = them.folder / "impatient.toml"
     impatient.write_text("[loop]\nconnect_timeout = 3.0\n", encoding="utf-8")
-    endpoint = free_endpoint()
+    (endpoint,) = free_endpoints(1)
     edge = _up(
         them, given, "--only", "edge", "--listen", endpoint, "--config", str(settings), out="edge"
     )
@@ -300,7 +300,7 @@ def _wrong_edge(them: Stacks, given: Parameters) -> Outcome:
 
 def _behind_router(them: Stacks, given: Parameters, *, edges: int) -> tuple[Command, list[Command]]:
     """Start a router, edges and a robot behind it. Return the robot's stack and the others."""
-    endpoint = free_endpoint()
+    (endpoint,) = free_endpoints(1)
     others = [_up(them, given, "--only", "router", "--listen", endpoint, out="router")]
     others[0].wait_for("READY")
     for number in range(edges):

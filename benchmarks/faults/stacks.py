@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import signal
-import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -39,13 +38,6 @@ def until(happened: Callable[[], Found], what: str) -> Found:
             raise LinkError(f"expected {what} within {_PATIENCE_SECONDS:g} s, got nothing")
         time.sleep(_POLL_SECONDS)
     return found
-
-
-def free_endpoint() -> str:
-    """Return a loopback endpoint that no process uses."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 class Command:

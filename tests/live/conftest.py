@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 from collections.abc import Callable, Iterator
 
 import pytest
 
+from benchmarks.link_paths import free_endpoints
 from benchmarks.real_path.namespaces import Machine
 from tests.processes import Process
 from tests.telemetry_hub import TelemetryHub
@@ -44,14 +44,3 @@ def hub() -> Iterator[Callable[[], TelemetryHub]]:
             return hubs.enter_context(contextlib.closing(TelemetryHub(*free_endpoints(1))))
 
         yield make
-
-
-def free_endpoints(count: int) -> list[str]:
-    """Loopback endpoints that nobody uses."""
-    sockets = [socket.socket() for _ in range(count)]
-    for each in sockets:
-        each.bind(("127.0.0.1", 0))
-    free = [f"tcp/127.0.0.1:{each.getsockname()[1]}" for each in sockets]
-    for each in sockets:
-        each.close()
-    return free

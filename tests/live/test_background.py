@@ -14,10 +14,11 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.faults.stacks import rows_in
 from deploy.background.registry import registry_folder
 from deploy.background.state import READY, ServiceState, StackFolder
 from shared.process.entry import python
-from tests.processes import ROOT, Process, descendants_naming, played, rows_in, until
+from tests.processes import ROOT, Process, descendants_naming, played, until
 
 pytestmark = pytest.mark.live
 

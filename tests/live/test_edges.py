@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.live.conftest import free_endpoints
+from benchmarks.link_paths import free_endpoints
 from tests.processes import Process
 
 pytestmark = pytest.mark.live

@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.faults.stacks import rows_in
+from benchmarks.link_paths import free_endpoints
 from benchmarks.real_path.namespaces import Machines, two_machines
 from netem.networks import load_profile
 from netem.profile import LOST
 from shared.errors import UserError
 from shared.telemetry.parquet import parquet_shape, read_parquet
-from tests.live.conftest import free_endpoints
-from tests.processes import Process, rows_in, until
+from tests.processes import Process, until
 
 pytestmark = pytest.mark.live
 
