@@ -55,6 +55,14 @@ class Run:
         while line not in self.output:
             await asyncio.sleep(0.01)
 
+    async def signalled_by_stop(self, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+        """Stop the supervisor. Return the process groups that it signals, and signal none."""
+        signalled: list[int] = []
+        monkeypatch.setattr(os, "killpg", lambda pid, number: signalled.append(pid))
+        await self.supervisor.stop()
+        monkeypatch.undo()
+        return signalled
+
     def state(self, name: str) -> str:
         return next(each.state for each in self.supervisor.states() if each.name == name)
 
@@ -215,12 +223,8 @@ def test_the_end_of_a_run_does_not_wait_for_the_next_start(tmp_path: Path, monke
     async def scenario(run: Run):
         await run.start("edge", FAILS, restart="on-failure:1/60s")
         await run.wait_for("edge: ended (exit 4): starts again in 1 s (degraded), failure 2")
-        signalled: list[int] = []
-        monkeypatch.setattr(os, "killpg", lambda pid, number: signalled.append(pid))
-        await run.supervisor.stop()
-        monkeypatch.undo()
         # The number of the process that has ended may be another process's by now.
-        assert signalled == []
+        assert await run.signalled_by_stop(monkeypatch) == []
 
     played(tmp_path, scenario)
 
@@ -312,11 +316,7 @@ def test_the_number_of_what_has_ended_may_be_another_process(tmp_path: Path, mon
         await run.start("viewer", FAILS)
         while run.state("viewer") != ENDED:
             await asyncio.sleep(0.01)
-        signalled: list[int] = []
-        monkeypatch.setattr(os, "killpg", lambda pid, number: signalled.append(pid))
-        await run.supervisor.stop()
-        monkeypatch.undo()
-        assert signalled == []
+        assert await run.signalled_by_stop(monkeypatch) == []
 
     played(tmp_path, scenario)
 
