@@ -9,6 +9,7 @@ import pytest
 
 from experiments.lockstep import Lockstep
 from shared.config.config_file import load_config
+from shared.errors import LinkError
 from shared.wire.codec import Codec
 
 SETTINGS = {
@@ -87,7 +88,7 @@ def test_true_blocks_of_the_worst_posture_that_is_near_enough_do_not_make_it_fal
 
     further = Lockstep(load_config(None, {"seed": 0, **SETTINGS, "loop.connect_timeout": 0.1}))
     further.edge._posture_error = 1.5 * wrong
-    with pytest.raises(Exception, match="posture"):
+    with pytest.raises(LinkError, match="posture"):
         further.run()
 
 

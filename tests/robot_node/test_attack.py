@@ -13,9 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edge_node.node import EdgeNode
+from robot_node.verification import ProjectorVerifier
 from shared.wbc.contacts import ContactMode
 from shared.wbc.factorisation import factorise_kkt
-from tests.messages import altered
+from shared.wbc.model import WholeBodyModel
+from shared.wire.codec import Codec
+from tests.messages import altered, make_state
 from tests.robot_node.bench import Bench, nothing
 
 HONEST, ATTACKED = 3, 12
@@ -343,12 +347,6 @@ def test_a_projector_that_obeys_the_dynamics_but_wants_another_motion_is_not_see
 def test_an_honest_projector_is_exact_at_its_own_state(
     robot, motion, configured, stacks, states, spread, dtype
 ):
-    from edge_node.node import EdgeNode
-    from robot_node.verification import ProjectorVerifier
-    from shared.wbc.model import WholeBodyModel
-    from shared.wire.codec import Codec
-    from tests.messages import make_state
-
     config = configured(**{"wire.projector_dtype": dtype})
     codec, edge = Codec(robot, config, motion), EdgeNode(robot, config, motion)
     q, v = states[spread]

@@ -126,7 +126,9 @@ class Faulty:
 
 
 @pytest.mark.parametrize("controller", ["la", "lc", "pr"])
-def test_a_glitch_of_an_encoder_hardly_moves_a_robot(robot, motion_of, controller):
+def test_a_glitch_of_an_encoder_hardly_moves_a_robot(
+    robot, motion, configured, monkeypatch, controller
+):
     glitches = {
         100: [(KNEE, 50.0)],
         120: [(KNEE, NAN), (12, -7.0)],
@@ -135,8 +137,8 @@ def test_a_glitch_of_an_encoder_hardly_moves_a_robot(robot, motion_of, controlle
     }
     played = []
     for faults in ({}, glitches):
-        bench = motion_of(controller)
-        bench.robot._sensors = Faulty(bench.robot._sensors, faults)
+        bench = Bench(robot, motion, configured(push=[], controller=controller))
+        monkeypatch.setattr(bench.robot, "_sensors", Faulty(bench.robot._sensors, faults))
         played.append(bench.run(400))
     clean, faulty = played
     assert faulty.robot.sensor_guard.faults.total() == 1 + 2 + 31 + 1
@@ -145,11 +147,3 @@ def test_a_glitch_of_an_encoder_hardly_moves_a_robot(robot, motion_of, controlle
     difference = np.abs(faulty.column("q") - clean.column("q")).max()
     assert difference < 0.02
     assert not faulty.edge.refused
-
-
-@pytest.fixture
-def motion_of(robot, motion, configured):
-    def build(controller):
-        return Bench(robot, motion, configured(push=[], controller=controller))
-
-    return build

@@ -9,6 +9,7 @@ import pytest
 
 from shared.wbc.contacts import ContactMode
 from shared.wbc.factorisation import factorise_kkt
+from shared.wbc.stack import Stack
 from shared.wbc.verification import InverseTest
 
 MODES = list(ContactMode)
@@ -49,8 +50,6 @@ def test_what_an_honest_edge_sends_passes(make, mode, spread, damping):
 def test_light_tasks_make_rounding_larger_and_the_test_coarser(
     robot, config, model, rng, task_weight
 ):
-    from shared.wbc.stack import Stack
-
     weights = dataclasses.replace(config.wbc.weights, posture=task_weight)
     stack = Stack(robot, dataclasses.replace(config.wbc, weights=weights), MODES[1])
     matrices = stack.matrices(model.jacobians(robot.q_standing))
