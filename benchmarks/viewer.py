@@ -26,6 +26,7 @@ from deploy.background.state import READY, StackFolder
 from deploy.plan import VIEWER
 from shared.errors import ConfigError, LinkError
 from shared.output.text_table import aligned
+from shared.process.entry import end_with_parent, python
 from shared.telemetry.metrics import in_task
 from shared.telemetry.parquet import read_parquet
 
