@@ -313,7 +313,7 @@ def _tick_batch(robot: Robot, config: RunConfig, states: States) -> Batch:
     """Measure, receive the answer to the state, command, record."""
     node = _PosedRobot(robot, config, states)
     edge = EdgeNode(robot, config, Standing(robot))
-    log = RowLog(node.schema)
+    log = RowLog(node.schema, complete=node.tick_row.complete)
 
     def tick() -> int:
         now_ns = node.tick * config.loop.period_ns

@@ -83,7 +83,7 @@ class Lockstep:
         self._codec = Codec(robot, config, motion)
         self._all_active_sets = all_active_sets
         self._unsolved: dict[int, bytes] = {}
-        self.ticks = RowLog(self.robot.schema)
+        self.ticks = RowLog(self.robot.schema, complete=self.robot.tick_row.complete)
         self._tick = Tick(self.robot, self.ticks.row)
         self.link = RowLog(LINK_SCHEMA)
         self.solves = RowLog(SOLVE_SCHEMA)

@@ -80,6 +80,7 @@ def main() -> int:
         out=arguments.out,
         telemetry=arguments.telemetry,
         key=TICKS_KEY.format(robot=robot.name),
+        complete=node.tick_row.complete,
     )
     inbox = Inbox()
     uplink = bus.publisher(UPLINK.key_for(me.robot))

@@ -57,8 +57,11 @@ class TickRow:
         torque_limit: np.ndarray,
     ) -> None:
         # One write for all columns of a tick, which follow one another; see `tick_schema`.
-        self._filled = slice(schema.slices["tick"].start, schema.slices["contact_force_n"].stop)
-        self._refused = schema.slices["refused"].start
+        columns = self._columns = schema.slices
+        self._filled = slice(columns["tick"].start, columns["torque_ratio"].start)
+        self._loads = slice(columns["torque_ratio"].start, columns["contact_force_n"].start)
+        self._contact_force = columns["contact_force_n"]
+        self._refused = columns["refused"].start
         self._model = model
         self._robot = model.robot
         self._torque_limit = torque_limit
@@ -67,7 +70,9 @@ class TickRow:
         self._set_down: list[tuple[float, float] | None] = [None for _ in Foot]
 
     def fill(self, row: np.ndarray, moment: Moment, command: Command) -> None:
-        """Fill all columns but the times that the driver of the tick measures."""
+        """Fill all columns but the loads of the joints, and the times that the driver of the tick
+        measures.
+        """
         reference, decision = moment.reference, command.decision
         frame = moment.plan_frame
         com_reference = frame.point_in_world(reference.com)
@@ -95,12 +100,22 @@ class TickRow:
                 (frame.x, frame.y, frame.yaw, moment.plan_ns),
                 (command.age_ns, sequence, active_set, moment.on_board_qps),
                 (contraction, staleness),
-                self._load(moment, command.tau),
-                moment.contact_force,
             ),
             out=row[self._filled],
         )
+        row[self._contact_force] = moment.contact_force
         row[self._refused] = moment.refused
+
+    def complete(self, rows: np.ndarray) -> None:
+        """Fill the columns of filled rows (n, width) that follow from others: loads of joints."""
+        columns = self._columns
+        joints = rows[:, columns["q"]][:, 7:]
+        speeds = np.abs(rows[:, columns["v"]][:, 6:]) / self._robot.velocity_limit
+        torques = np.abs(rows[:, columns["tau"]]) / self._torque_limit
+        lowest, highest = self._robot.position_limit
+        beyond = np.maximum(lowest - joints, joints - highest)
+        loads = (torques.max(axis=1), beyond.max(axis=1), speeds.max(axis=1))
+        rows[:, self._loads] = np.stack(loads, axis=1)
 
     def _forces(self, decision: Decision) -> tuple[np.ndarray, np.ndarray]:
         """Forces of the left and of the right sole."""
@@ -110,16 +125,6 @@ class TickRow:
         if decision.mode is ContactMode.RIGHT_SUPPORT:
             return self._unloaded, f
         return f[:FORCES_PER_FOOT], f[FORCES_PER_FOOT:]
-
-    def _load(self, moment: Moment, tau: np.ndarray) -> tuple[float, float, float]:
-        """The last columns of `tick_schema`: torque, position and velocity against their limits."""
-        joints, rates = moment.q[7:], moment.v[6:]
-        lowest, highest = self._robot.position_limit
-        return (
-            float((np.abs(tau) / self._torque_limit).max()),
-            float(np.maximum(lowest - joints, joints - highest).max()),
-            float((np.abs(rates) / self._robot.velocity_limit).max()),
-        )
 
     def _slips(self, moment: Moment) -> list[float]:
         """Distance in the plane of each loaded sole from where it was set down, NaN in the air."""

@@ -147,11 +147,19 @@ def identity_from(
 class ServiceLog:
     """The rows of one service: in a file while it runs, then as Parquet with a JSON report.
 
-    Without a folder `out`, the rows are in a temporary file until the report is made.
+    Without a folder `out`, the rows are in a temporary file until the report is made. `complete` is
+    that of a `RowLog`.
     """
 
     def __init__(
-        self, name: str, schema: Schema, *, out: Path | None, telemetry: str | None, key: str
+        self,
+        name: str,
+        schema: Schema,
+        *,
+        out: Path | None,
+        telemetry: str | None,
+        key: str,
+        complete: Callable[[np.ndarray], None] | None = None,
     ) -> None:
         self.name = name
         self._out = out
@@ -171,7 +179,9 @@ class ServiceLog:
         # Rows for which the file has no room are still published.
         path = self._folder / f"{name}.rows"
         with writing(path, what="out"):
-            self.rows = RowLog(schema, path=path, publish=publish, at_most=_MAX_ROWS)
+            self.rows = RowLog(
+                schema, path=path, publish=publish, at_most=_MAX_ROWS, complete=complete
+            )
 
     def row(self) -> np.ndarray:
         """Return the next row to fill."""

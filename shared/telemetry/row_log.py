@@ -43,6 +43,9 @@ class RowLog:
     stay in memory. `publish` receives each block's encoding on the background thread. The file
     holds at most `at_most` rows. Later rows are only published, and so are rows that cannot be
     written: `failure` is then the error.
+
+    `complete` fills, in each block (n, width), the columns that follow from others. It runs on the
+    background thread if there is one.
     """
 
     def __init__(
@@ -52,12 +55,14 @@ class RowLog:
         path: Path | None = None,
         publish: Callable[[bytes], None] | None = None,
         at_most: int | None = None,
+        complete: Callable[[np.ndarray], None] | None = None,
     ) -> None:
         self.schema = schema
         self.path = path
         self.failure: OSError | None = None
         self._publish = publish
         self._left = at_most
+        self._complete = complete
         self._kept: list[np.ndarray] = []
         self._block = np.zeros((BLOCK_ROWS, schema.width))
         self._used = 0
@@ -124,9 +129,13 @@ class RowLog:
             self._kept.append(block)
         if self._thread is not None:
             self._queue.put(block)
+        elif self._complete is not None:
+            self._complete(block)
 
     def _drain(self) -> None:
         while (block := self._queue.get()) is not None:
+            if self._complete is not None:
+                self._complete(block)
             if self._file is not None and self.failure is None:
                 kept = block[: self._left]
                 with self._keeping_failure():

@@ -109,6 +109,24 @@ def test_blocks_are_published_in_order_and_whole():
     np.testing.assert_array_equal(np.vstack(blocks), expected(2 * BLOCK_ROWS + 7))
 
 
+@pytest.mark.parametrize("on_file", [False, True])
+def test_columns_that_follow_from_others_are_completed_once_in_every_row(tmp_path, on_file):
+    def complete(rows: np.ndarray) -> None:
+        rows[:, -1] += rows[:, 0]
+
+    published: list[bytes] = []
+    path = tmp_path / "rows" if on_file else None
+    publish = published.append if on_file else None
+    log = fill(RowLog(SCHEMA, path=path, publish=publish, complete=complete), BLOCK_ROWS + 7)
+    log.close()
+    right = expected(BLOCK_ROWS + 7)
+    right[:, -1] += right[:, 0]
+    np.testing.assert_array_equal(log.rows(), right)
+    if on_file:
+        blocks = [decode_rows(data, SCHEMA)[1] for data in published]
+        np.testing.assert_array_equal(np.vstack(blocks), right)
+
+
 def test_filling_rows_does_not_wait_for_whoever_is_published_to():
     released = threading.Event()
 
