@@ -81,11 +81,10 @@ class FactorisationRefresh:
         elapsed_ns = state.stamp_ns - sent.stamp_ns
         if not sent.arrived and elapsed_ns >= self._retry_after_ns(sent):
             return True
-        if elapsed_ns < self._config.refresh_interval_ns:
+        if mode not in needed or elapsed_ns < self._config.refresh_interval_ns:
             return False
         moved = posture - sent.posture
-        distance = math.sqrt(moved @ moved / len(moved))
-        return mode in needed and distance > self._config.refresh_distance
+        return math.sqrt(moved.dot(moved) / len(moved)) > self._config.refresh_distance
 
     def _retry_after_ns(self, sent: _Sent) -> float:
         """Time before the next try [ns]: doubled with every try up to a limit, at least 1.2 round
