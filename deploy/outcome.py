@@ -223,7 +223,7 @@ def _edge_from_rows(rows: _Rows) -> dict[str, Any]:
 
 
 def _link_from_rows(profile: str, rows: _Rows) -> dict[str, Any]:
-    return link_report(rows[1], profile=profile, passes=0)
+    return link_report(rows[1], profile={"profile": profile}, passes=0)
 
 
 def _edge_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, Any]:
@@ -241,7 +241,8 @@ def _edge_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, A
 def _link_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, Any]:
     """The report of several lives. Each began the profile anew, so that no place in it holds."""
     passes = sum(report["profile_passes"] for report in reports)
-    return link_report(rows, profile=reports[-1]["profile"], passes=passes)
+    profile = {key: reports[-1][key] for key in ("profile", "profile_worst_outage")}
+    return link_report(rows, profile=profile, passes=passes)
 
 
 def _sum(counts: Iterable[int | None]) -> int | None:

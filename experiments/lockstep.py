@@ -22,7 +22,7 @@ from netem.delay_line import DelayLine, Due, make_lines
 from netem.networks import load_network
 from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
-from netem.profile import Profile, begin_ns
+from netem.profile import Profile, profile_report
 from netem.shim import record_message
 from robot_node.controllers import MakeController, make_controller
 from robot_node.node import RobotNode
@@ -238,12 +238,10 @@ class Lockstep:
         profile, config = self._profile, self.config
         link = link_report(
             self.link.rows(),
-            profile="direct" if profile is None else profile.name,
-            passes=max((line.passes(self.clock.now_ns()) for line in self._lines), default=0),
-            profile_seconds=None if profile is None else profile.duration_ns * 1e-9,
-            begins_s=None
+            profile={"profile": "direct"}
             if profile is None
-            else begin_ns(profile, config.link, seed=config.seed) * 1e-9,
+            else profile_report(profile, config.link, seed=config.seed),
+            passes=max((line.passes(self.clock.now_ns()) for line in self._lines), default=0),
         )
         return robot, edge, link
 

@@ -98,6 +98,40 @@ class DelayProfile:
         return int(sum(np.median(way[way != LOST]) for way in self.delays_ns))
 
 
+def profile_report(profile: Profile, link: LinkConfig, *, seed: int) -> dict[str, Any]:
+    """Return the part of the link's report on its profile: name, length, begin, worst outage."""
+    begins = begin_ns(profile, link, seed=seed)
+    worst = worst_outage(profile) if isinstance(profile, DelayProfile) else None
+    return {
+        "profile": profile.name,
+        "profile_seconds": profile.duration_ns * 1e-9,
+        "profile_begins_s": begins * 1e-9,
+        "profile_worst_outage": worst,
+    }
+
+
+def worst_outage(profile: DelayProfile) -> dict[str, Any]:
+    """Return direction, length [ms] and begin in the profile [s] of the longest time without
+    arrivals.
+
+    A message is sent in each period, and the profile repeats. A period is the least time between
+    two arrivals, so it does not count.
+    """
+    sent_ns = np.arange(2 * profile.delays_ns.shape[1]) * profile.period_ns
+    worst: dict[str, Any] = {"direction": None, "ms": 0.0, "at_s": None}
+    for direction, way in zip(DIRECTIONS, profile.delays_ns, strict=True):
+        delays_ns = np.tile(way, 2)
+        passed = delays_ns != LOST
+        arrivals_ns = np.sort(sent_ns[passed] + delays_ns[passed])
+        silences_ns = np.diff(arrivals_ns)
+        k = int(np.argmax(silences_ns))
+        silence_ms = (int(silences_ns[k]) - profile.period_ns) * 1e-6
+        if silence_ms > worst["ms"]:
+            at_s = (int(arrivals_ns[k]) + profile.period_ns) % profile.duration_ns * 1e-9
+            worst = {"direction": direction, "ms": round(silence_ms, 3), "at_s": round(at_s, 3)}
+    return worst
+
+
 def begin_ns(profile: Profile, link: LinkConfig, *, seed: int) -> int:
     """Return where in a profile a run begins [ns]: where `link` says, or where the seed draws."""
     if link.start_ns is None:

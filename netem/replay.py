@@ -12,7 +12,7 @@ from netem.link_options import add_link_arguments, link_config_from
 from netem.networks import load_network
 from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
-from netem.profile import begin_ns
+from netem.profile import profile_report
 from netem.shim import Shim, Sides
 from shared.bus.security import NETEM
 from shared.bus.zenoh_bus import ZenohBus, machine_clock
@@ -112,10 +112,8 @@ def run_replay(arguments: argparse.Namespace) -> int:
     log.finish(
         lambda rows: link_report(
             rows,
-            profile=profile.name,
+            profile=profile_report(profile, config.link, seed=config.seed),
             passes=shim.passes,
-            profile_seconds=profile.duration_ns * 1e-9,
-            begins_s=begin_ns(profile, config.link, seed=config.seed) * 1e-9,
         )
     )
     print(

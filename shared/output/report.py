@@ -120,26 +120,13 @@ def edge_report(
     }
 
 
-def link_report(
-    rows: np.ndarray,
-    *,
-    profile: str,
-    passes: int,
-    profile_seconds: float | None = None,
-    begins_s: float | None = None,
-) -> dict[str, Any]:
+def link_report(rows: np.ndarray, *, profile: Mapping[str, Any], passes: int) -> dict[str, Any]:
     """Return the shim's part, from its message rows: nominal delay, and achieved minus nominal.
 
-    `profile_seconds` is the length of the profile, and `begins_s` the place in it [s] at which the
-    first message was sent. Both are None for a link without a profile.
+    `profile` is a `netem.profile.profile_report`, of which the name alone is always known.
     """
-    report: dict[str, Any] = {
-        "profile": profile,
-        "profile_passes": passes,
-        "profile_seconds": profile_seconds,
-        "profile_begins_s": begins_s,
-        "link": {},
-    }
+    unknown = dict.fromkeys(("profile_seconds", "profile_begins_s", "profile_worst_outage"))
+    report: dict[str, Any] = {**unknown, **profile, "profile_passes": passes, "link": {}}
     directions = LINK_SCHEMA.column(rows, "direction")
     seconds = float(np.ptp(LINK_SCHEMA.column(rows, "wall_ns"))) * 1e-9 if len(rows) else 0.0
     for k, name in enumerate(DIRECTIONS):

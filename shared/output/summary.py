@@ -20,6 +20,10 @@ from shared.telemetry.metrics import quantiles
 
 # A profile of one value, such as a constant delay, has no places.
 _LEAST_PROFILE_SECONDS = 0.01
+# A run has met an outage if it has met one of at least this share.
+_AS_LONG = 0.9
+# A run that is to meet an outage begins this long before it.
+_BEFORE_SECONDS = 1.0
 
 
 def summary(
@@ -135,13 +139,29 @@ def _link_in_words(summary: Mapping[str, Any]) -> list[str]:
             f"played {played['seconds']:.2f} s of the profile's {length:.4g} s, from "
             f"{played['from_s']:.2f} s on{again}; "
         )
+    missed = _missed(summary)
     if not worst["ms"]:
-        return [f"  {span}met no outage above {LEAST_NS * 1e-6:.0f} ms"]
+        return [f"  {span}met no outage above {LEAST_NS * 1e-6:.0f} ms", *missed]
     place = f"at {worst['at_s']:.2f} s"
     if worst["profile_at_s"] is not None:
         place += f", {worst['profile_at_s']:.2f} s of the profile"
     end = "" if worst["over"] else ", and not over at the end"
-    return [f"  {span}worst outage met {worst['ms']:.0f} ms ({worst['direction']}, {place}{end})"]
+    met = f"worst outage met {worst['ms']:.0f} ms ({worst['direction']}, {place}{end})"
+    return [f"  {span}{met}", *missed]
+
+
+def _missed(summary: Mapping[str, Any]) -> list[str]:
+    """Return the line on the profile's worst outage if the run has not met one as long."""
+    worst = summary.get("profile_worst_outage")
+    if worst is None or worst["ms"] * _AS_LONG <= max(
+        summary["worst_outage"]["ms"], LEAST_NS * 1e-6
+    ):
+        return []
+    before_s = max(0.0, worst["at_s"] - _BEFORE_SECONDS)
+    return [
+        f"  not met: the profile's worst outage, {worst['ms']:.0f} ms ({worst['direction']}, at "
+        f"{worst['at_s']:.2f} s of the profile); try --network-start {before_s:.2f}s"
+    ]
 
 
 def _accuracy(summary: Mapping[str, Any]) -> list[str]:

@@ -250,6 +250,24 @@ def test_the_summary_tells_the_span_of_the_profile_and_the_worst_outage_met(play
     assert "cached (an older answer, applied to fresh feedback)" in words[3]
 
 
+def test_the_summary_tells_the_worst_outage_of_the_profile_that_was_not_met(play, trace):
+    delays = steady(2000)
+    delays[0, 500:520] = delays[1, 1100:1500] = LOST
+    link = {"link.network": trace(delays), "loop.hold_after": FOR_EVER}
+    summary = play(duration=1.0, push=[], **link).summary
+    # The profile is rotated, so that the run begins at its first row.
+    at_s = (summary["profile_begins_s"] + 1.105) % 2.0
+    worst = summary["profile_worst_outage"]
+    assert worst == {"direction": "downlink", "ms": 400.0, "at_s": pytest.approx(at_s)}
+    assert summary["worst_outage"]["ms"] == pytest.approx(20.0, abs=1.0)
+    assert summary_in_words(summary).splitlines()[2] == (
+        f"  not met: the profile's worst outage, 400 ms (downlink, at {at_s:.2f} s of the "
+        f"profile); try --network-start {max(0.0, at_s - 1.0):.2f}s"
+    )
+    whole = play(duration=1.6, push=[], **link).summary
+    assert "not met" not in summary_in_words(whole)
+
+
 def test_a_fall_has_its_reason(play, cut):
     result = play(
         duration=2.5, controller="pr", push=["100N@0.5s:0.2s:+y"], **{"link.network": cut}

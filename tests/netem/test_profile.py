@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netem.networks import SHIPPED, load_profile, shipped_names
-from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
+from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile, worst_outage
 from shared.errors import ProfileError
 
 MS = 1_000_000
@@ -332,3 +332,23 @@ def test_a_seed_chooses_where_a_run_begins():
 def test_the_nominal_round_trip_leaves_losses_out():
     delays = np.array([[LOST, 2, 4, 6], [LOST, LOST, LOST, 10]])
     assert DelayProfile("test", delays).nominal_round_trip_ns == 4 + 10
+
+
+def test_the_worst_outage_is_the_longest_time_without_arrivals_also_across_the_end():
+    delays_ns = np.full((2, 100), 5 * MS)
+    delays_ns[UPLINK, 40:48] = LOST
+    # The second of two late messages overtakes nothing: 30 ms pass until both arrive.
+    delays_ns[UPLINK, 60:90] = (35 - np.arange(30)) * MS
+    assert worst_outage(DelayProfile("x", delays_ns)) == {
+        "direction": "uplink",
+        "ms": 30.0,
+        "at_s": 0.065,
+    }
+    delays_ns[DOWNLINK, -20:] = delays_ns[DOWNLINK, :20] = LOST
+    assert worst_outage(DelayProfile("x", delays_ns)) == {
+        "direction": "downlink",
+        "ms": 40.0,
+        "at_s": 0.085,
+    }
+    steady = DelayProfile("x", np.full((2, 100), 5 * MS))
+    assert worst_outage(steady) == {"direction": None, "ms": 0.0, "at_s": None}

@@ -156,7 +156,7 @@ def test_a_link_report_tells_each_direction_apart_and_errors_from_delays():
     put("bytes", [700, 700, 700, 28_000, 28_000])
     put("nominal_ns", [1e6, 1e6, 0, 5e6, 7e6])
     put("achieved_ns", [1.1e6, 1.3e6, -1, 5e6, 7.5e6])
-    report = link_report(rows, profile="factory/001", passes=2)
+    report = link_report(rows, profile={"profile": "factory/001"}, passes=2)
     up, down = report["link"]["uplink"], report["link"]["downlink"]
     assert (report["profile"], report["profile_passes"]) == ("factory/001", 2)
     assert (up["dropped_by_profile"], down["dropped_by_profile"]) == (1, 0)
