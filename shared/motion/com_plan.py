@@ -1,7 +1,9 @@
-"""CoM trajectory of a walk from the linear inverted pendulum at constant height.
+"""CoM trajectory of a walk from the linear inverted pendulum above the ground.
 
-With the CoM at height z the pendulum obeys c̈ = ω² (c − p), ω² = g/z, p the ZMP. A plan is a
-sequence of segments on which the ZMP moves linearly; on each the motion has a closed form,
+With the CoM at height z over the ZMP p the pendulum obeys c̈ = ω² (c − p) in the plane, ω² = g/z. In
+the vertical the same law holds for c and the point at height z over p. The contact force then
+passes through p and c, also on a stair. A plan is a sequence of segments on which the ZMP moves
+linearly. On each the motion has a closed form,
 
     c(t) = p(t) + A e^{ωt} + B e^{−ωt}.
 
@@ -24,7 +26,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class ZmpSegment:
-    """ZMP moving linearly from `start` to `end` (2,) [m] between two times [s]."""
+    """ZMP moving linearly from `start` to `end` (3,) in the world [m] between two times [s]."""
 
     begin: float
     finish: float
@@ -45,9 +47,10 @@ class ComState:
 class ComPlan:
     """Pendulum motion over ZMP segments; at rest before the first and after the last.
 
-    `position` is the CoM at the beginning, `capture_point` that at the end, both (2,) [m]. An error
-    in the CoM shrinks forwards in time and one in the capture point backwards, so each is run in
-    its own direction: forwards both, a rounding error would grow by e^{ωt}, to metres in 10 s.
+    `position` is the CoM at the beginning, `capture_point` that at the end, both (3,) [m], lowered
+    by the pendulum's height. An error in the CoM shrinks forwards in time and one in the capture
+    point backwards, so each is run in its own direction: forwards both, a rounding error would grow
+    by e^{ωt}, to metres in 10 s.
     """
 
     def __init__(
@@ -61,7 +64,7 @@ class ComPlan:
         self.segments = tuple(segments)
         self.omega = omega
         self._begins = [segment.begin for segment in self.segments]
-        # With the pendulum's constant height.
+        # Of the pendulum.
         height = GRAVITY / omega**2
         xi_ends = [capture_point]
         for segment in reversed(self.segments[1:]):
@@ -77,7 +80,7 @@ class ComPlan:
             decaying = c - segment.start - growing * decay
             self._tables.append(self._table(segment.start, slope, growing, decaying, height))
             c = segment.end + growing + decaying * decay
-        zero = np.zeros(2)
+        zero = np.zeros(3)
         self._at_rest = self._table(c, zero, zero, zero, height)
 
     @property
@@ -93,7 +96,7 @@ class ComPlan:
         )
 
     def motion(self, time: float) -> np.ndarray:
-        """CoM at `time` [s], at its height: position, velocity, acceleration as rows, (3, 3)."""
+        """CoM at `time` [s]: position, velocity, acceleration as rows, (3, 3)."""
         motion: np.ndarray
         if time >= self.duration:
             motion = self._at_rest[0].reshape(3, 3)
@@ -121,15 +124,17 @@ class ComPlan:
         """
         omega = self.omega
         table = np.zeros((4, 3, 3))
-        table[0, 0] = *start, height
-        table[0, 1, :2] = table[1, 0, :2] = slope
+        table[0, 0] = start
+        table[0, 0, 2] += height
+        table[0, 1] = table[1, 0] = slope
         for k, (part, rate) in enumerate(((growing, omega), (decaying, -omega)), start=2):
-            table[k, :, :2] = part, rate * part, rate**2 * part
+            table[k] = part, rate * part, rate**2 * part
         return table.reshape(4, 9)
 
 
 def dcm_plan(segments: Sequence[ZmpSegment], *, omega: float, position: np.ndarray) -> ComPlan:
-    """The bounded pendulum motion that starts at rest at `position` and ends at rest.
+    """The bounded pendulum motion that starts at rest at `position` (3,), lowered by the pendulum's
+    height, and ends at rest.
 
     The first segment's ZMP start is free and chosen so that the motion begins at rest.
     """
@@ -140,8 +145,8 @@ def dcm_plan(segments: Sequence[ZmpSegment], *, omega: float, position: np.ndarr
     first = segments[0]
     duration = first.finish - first.begin
     # ξ(0) = position fixes the start p₀ of a linear ZMP: ξ(0) = p₀ κ + rest, by linearity.
-    at_zero = _xi_before(ZmpSegment(first.begin, first.finish, np.zeros(2), first.end), xi, omega)
-    slope = _xi_before(ZmpSegment(0.0, duration, np.ones(2), np.zeros(2)), np.zeros(2), omega)
+    at_zero = _xi_before(ZmpSegment(first.begin, first.finish, np.zeros(3), first.end), xi, omega)
+    slope = _xi_before(ZmpSegment(0.0, duration, np.ones(3), np.zeros(3)), np.zeros(3), omega)
     start = (position - at_zero) / slope
     whole = (ZmpSegment(first.begin, first.finish, start, first.end), *segments[1:])
     return ComPlan(whole, omega=omega, position=position, capture_point=whole[-1].end)

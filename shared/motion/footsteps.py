@@ -28,15 +28,24 @@ MAX_TURN = math.radians(35.0)
 
 @dataclass(frozen=True)
 class Step:
-    """One step: the swing foot goes from one footprint to another beside the support foot."""
+    """One step: the swing foot goes from one footprint to another beside the support foot.
+
+    `highest` is the highest ground under its path [m]. It matters only above both footprints.
+    """
 
     support: Footprint
     start: Footprint
     goal: Footprint
+    highest: float = -math.inf
 
     @property
     def swing_foot(self) -> Foot:
         return self.start.foot
+
+    @property
+    def obstacle(self) -> float:
+        """Height of the ground under the path above the higher one of the footprints [m]."""
+        return max(0.0, self.highest - max(self.start.z, self.goal.z))
 
 
 def standing_footprints(robot: Robot) -> dict[Foot, Footprint]:

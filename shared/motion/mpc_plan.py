@@ -57,7 +57,7 @@ class SupportPhase:
 
     `corners` (k, 2) of the loaded soles in the world [m]; `zmp` (2,) target of the ZMP at the end,
     reached on a line from the target of the phase before [m]; `velocity` (2,) mean velocity of
-    walking, without sway [m/s].
+    walking, without sway [m/s]; `ground` height of the ground under the ZMP at the end [m].
     """
 
     begin: float
@@ -65,13 +65,20 @@ class SupportPhase:
     corners: np.ndarray
     zmp: np.ndarray
     velocity: np.ndarray
+    ground: float = 0.0
 
 
 def mpc_plan(phases: Sequence[SupportPhase], *, omega: float, position: np.ndarray) -> ComPlan:
     """Plan the motion from rest at `position` (2,) to rest at the last phase's `zmp`.
 
-    Raise `ConfigError` if at some time no motion keeps the ZMP inside the support.
+    Raise `ConfigError` if at some time no motion keeps the ZMP inside the support, or if the ground
+    is not level.
     """
+    if any(phase.ground != 0.0 for phase in phases):
+        raise ConfigError(
+            "walk.com_plan: expected dcm over ground that is not level, because the pendulum of "
+            "mpc has a constant height, got 'mpc'"
+        )
     samples = _samples(phases, position)
     times = [phases[0].begin, *(sample.time for sample in samples)]
     rest = phases[-1].zmp
@@ -94,8 +101,16 @@ def mpc_plan(phases: Sequence[SupportPhase], *, omega: float, position: np.ndarr
             break
         xi, eta = horizon.first_state(ahead)
         zmp.append(ahead[0])
-    segments = [ZmpSegment(times[k], times[k + 1], zmp[k], zmp[k + 1]) for k in range(len(samples))]
-    return ComPlan(segments, omega=omega, position=position, capture_point=rest)
+    level = [np.append(point, 0.0) for point in zmp]
+    segments = [
+        ZmpSegment(times[k], times[k + 1], level[k], level[k + 1]) for k in range(len(samples))
+    ]
+    return ComPlan(
+        segments,
+        omega=omega,
+        position=np.append(position, 0.0),
+        capture_point=np.append(rest, 0.0),
+    )
 
 
 @dataclass(frozen=True)

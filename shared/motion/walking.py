@@ -41,10 +41,16 @@ class Phase:
 
 
 class Walking:
-    """Reference motion of a walk. `ConfigError` if the steps cannot be walked."""
+    """Reference motion of a walk. `ConfigError` if the steps cannot be walked.
 
-    def __init__(self, robot: Robot, config: WalkConfig) -> None:
-        self.steps = plan_footsteps(robot, config)
+    `steps` are those of `config`, unless others are given.
+    """
+
+    def __init__(
+        self, robot: Robot, config: WalkConfig, *, steps: tuple[Step, ...] | None = None
+    ) -> None:
+        self._given_steps = steps is not None
+        self.steps = plan_footsteps(robot, config) if steps is None else steps
         self._robot = robot
         self._config = config
         standing = Standing(robot).reference(0)
@@ -73,7 +79,7 @@ class Walking:
                 phase.step.goal,
                 time=elapsed,
                 duration=duration,
-                height=self._config.swing_height,
+                height=self._config.swing_height + phase.step.obstacle,
             )
             before = (phase.step.start.yaw + phase.step.support.yaw) / 2
             yaw = before + quintic(elapsed / duration)[0] * (yaw - before)
@@ -86,6 +92,11 @@ class Walking:
             mode=phase.mode,
             swing=swing_state,
         )
+
+    @property
+    def duration(self) -> float:
+        """The duration from standing to standing [s]."""
+        return self.phases[-1].end_ns * 1e-9
 
     def next_switch(self, time_ns: int) -> int | None:
         k = bisect.bisect_right(self._ends, time_ns)
@@ -101,7 +112,8 @@ class Walking:
             return self
         # In closed form, whichever plan this is: it is needed within a tick or a few.
         config = dataclasses.replace(self._config, steps=steps, com_plan="dcm")
-        shorter = Walking(self._robot, config)
+        first = self.steps[:steps] if self._given_steps else None
+        shorter = Walking(self._robot, config, steps=first)
         return CrossFade(self, shorter, begin_ns=time_ns)
 
     def _phase(self, time_ns: int) -> Phase:
@@ -116,10 +128,10 @@ class Walking:
 
     def _digest(self) -> bytes:
         """Digest of the footprints, of the phases' ends and modes, and of the CoM every 50 ms."""
-        goals = [[step.goal.x, step.goal.y, step.goal.yaw] for step in self.steps]
+        goals = [[each.x, each.y, each.yaw, each.z] for each in (step.goal for step in self.steps)]
         ends = [[phase.end_ns * 1e-9, phase.mode] for phase in self.phases]
-        times = np.arange(0.0, self._config.duration, 0.05)
-        com = [self.com_plan.state(time).position for time in times]
+        times = np.arange(0.0, self.duration, 0.05)
+        com = [self.com_plan.motion(time)[0] for time in times]
         return motion_digest(np.array(goals), np.array(ends), np.array(com))
 
     def _support_phases(self, robot: Robot) -> list[SupportPhase]:
@@ -128,29 +140,38 @@ class Walking:
         phases = []
 
         def add(
-            begin: float, end: float, prints: tuple[Footprint, ...], zmp: np.ndarray, v: np.ndarray
+            begin: float,
+            end: float,
+            prints: tuple[Footprint, ...],
+            zmp: np.ndarray,
+            v: np.ndarray,
+            ground: float,
         ) -> None:
             corners = [each.to_world(corner) for each in prints for corner in soles[each.foot]]
-            phases.append(SupportPhase(begin, end, np.array(corners), zmp, v))
+            phases.append(SupportPhase(begin, end, np.array(corners), zmp, v, ground))
 
         still = np.zeros(2)
         for phase in self.phases:
             begin, end, step = phase.begin_ns * 1e-9, phase.end_ns * 1e-9, phase.step
             if step is None:
                 first = self.steps[0]
-                add(begin, end, (first.support, first.start), self._zmp(first.support), still)
+                support = first.support
+                add(begin, end, (support, first.start), self._zmp(support), still, support.z)
                 continue
             moved = self._zmp(step.goal) - self._zmp(step.start)
             velocity = moved / 2 / self._config.step_duration
             if phase.mode is not ContactMode.DOUBLE_SUPPORT:
-                add(begin, end, (step.support,), self._zmp(step.support), velocity)
+                support = step.support
+                add(begin, end, (support,), self._zmp(support), velocity, support.z)
             elif phase is not self.phases[-1]:
                 # The foot that has just landed bears the next step.
-                add(begin, end, (step.support, step.goal), self._zmp(step.goal), velocity)
+                goal = step.goal
+                add(begin, end, (step.support, goal), self._zmp(goal), velocity, goal.z)
             else:
                 centre = (self._zmp(step.support) + self._zmp(step.goal)) / 2
+                between = (step.support.z + step.goal.z) / 2
                 for span in ((begin, begin + _SETTLE), (begin + _SETTLE, end)):
-                    add(*span, (step.support, step.goal), centre, still)
+                    add(*span, (step.support, step.goal), centre, still, between)
         return phases
 
     def _plan_com(self, start: np.ndarray) -> ComPlan:
@@ -158,12 +179,12 @@ class Walking:
         phases = self.support_phases
         if self._config.com_plan == "mpc":
             return mpc_plan(phases, omega=omega, position=start)
-        before = [phases[0].zmp, *(phase.zmp for phase in phases)]
+        ends = [np.append(phase.zmp, phase.ground) for phase in phases]
         segments = [
-            ZmpSegment(phase.begin, phase.finish, zmp, phase.zmp)
-            for zmp, phase in zip(before, phases, strict=False)
+            ZmpSegment(phase.begin, phase.finish, begin, end)
+            for phase, begin, end in zip(phases, [ends[0], *ends], ends, strict=False)
         ]
-        return dcm_plan(segments, omega=omega, position=start)
+        return dcm_plan(segments, omega=omega, position=np.append(start, 0.0))
 
     def _zmp(self, print_: Footprint) -> np.ndarray:
         return print_.to_world(self._zmp_in_sole[print_.foot])

@@ -161,6 +161,10 @@ def square(x, y, half):
     return np.array([[x + sx * half, y + sy * half] for sx in (-1, 1) for sy in (-1, 1)])
 
 
+def level(point):
+    return np.append(point, 0.0)
+
+
 def cost_of(zmp, phases, times, *, omega, start):
     """Cost of a walk through the ZMPs at `times`, and how far it is from what it must keep.
 
@@ -168,10 +172,10 @@ def cost_of(zmp, phases, times, *, omega, start):
     """
     segments = [
         ZmpSegment(*span, *ends)
-        for span, ends in zip(pairwise(times), pairwise([start, *zmp]), strict=True)
+        for span, ends in zip(pairwise(times), pairwise(map(level, [start, *zmp])), strict=True)
     ]
     rest = phases[-1].zmp
-    plan = ComPlan(segments, omega=omega, position=start, capture_point=rest)
+    plan = ComPlan(segments, omega=omega, position=level(start), capture_point=level(rest))
     origins = [start, *(phase.zmp for phase in phases)]
     cost = 0.0
     for segment, following in zip_longest(segments, segments[1:]):
@@ -180,11 +184,11 @@ def cost_of(zmp, phases, times, *, omega, start):
         passed = (segment.finish - phase.begin) / (phase.finish - phase.begin)
         zmp_ref = (1 - passed) * origins[k] + passed * phase.zmp
         velocity = plan.state(segment.finish - 1e-12).velocity
-        jerk = omega**2 * (velocity - (segment.end - segment.start) / duration)
+        jerk = omega**2 * (velocity - (segment.end - segment.start)[:2] / duration)
         weight = (duration + (following.finish - following.begin if following else 0.0)) / 2
         cost += duration * JERK_WEIGHT * jerk @ jerk
         cost += weight * VELOCITY_WEIGHT * np.sum((velocity - phase.velocity) ** 2)
-        cost += weight * np.sum((segment.end - zmp_ref) ** 2)
+        cost += weight * np.sum((segment.end[:2] - zmp_ref) ** 2)
     end = plan.state(plan.duration).position
     return cost, np.concatenate([plan.state(0.0).velocity, end - rest, zmp[-1] - rest])
 
@@ -199,7 +203,7 @@ def test_no_other_zmp_from_rest_to_rest_costs_less():
     ]
     plan = mpc_plan(phases, omega=omega, position=start)
     times = [0.0, *(segment.finish for segment in plan.segments)]
-    zmp = np.array([segment.end for segment in plan.segments])
+    zmp = np.array([segment.end[:2] for segment in plan.segments])
 
     def evaluate(change):
         return cost_of(zmp + change, phases, times, omega=omega, start=start)

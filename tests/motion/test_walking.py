@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 from shared.config.settings import WalkConfig
 from shared.errors import ConfigError
+from shared.motion.com_plan import GRAVITY
+from shared.motion.footsteps import Step, plan_footsteps
 from shared.motion.standing import Standing
 from shared.motion.walking import Walking
 from shared.robots import Foot
@@ -85,7 +88,7 @@ def test_the_zmp_of_the_com_is_the_planned_one(walking):
         for share in (0.01, 0.5, 0.99):
             time = segment.begin + share * (segment.finish - segment.begin)
             planned = segment.start + share * (segment.end - segment.start)
-            np.testing.assert_allclose(plan.state(time).zmp, planned, atol=1e-10)
+            np.testing.assert_allclose(plan.state(time).zmp, planned[:2], atol=1e-10)
 
 
 def test_the_com_is_at_the_height_of_standing(robot, walking, config):
@@ -157,6 +160,68 @@ def test_switches_are_announced_at_their_times(walking):
         assert walking.reference(phase.end_ns).mode is following.mode
         time_ns = phase.end_ns
     assert walking.next_switch(time_ns) is None
+
+
+UP_AND_DOWN = (0.06, 0.06, 0.12, 0.12, 0.04, 0.04)
+
+
+def raised(step, heights):
+    """A step of a level walk, with its footprints at these heights."""
+    support, start, goal = (
+        dataclasses.replace(each, z=heights[each]) for each in (step.support, step.start, step.goal)
+    )
+    return Step(support, start, goal)
+
+
+@pytest.fixture(scope="module")
+def stairs(robot):
+    """Six steps, up two stairs and down to another one."""
+    config = WalkConfig()
+    steps = plan_footsteps(robot, config)
+    heights = dict.fromkeys((steps[0].support, steps[0].start), 0.0)
+    heights |= {step.goal: z for step, z in zip(steps, UP_AND_DOWN, strict=True)}
+    return Walking(robot, config, steps=tuple(raised(step, heights) for step in steps))
+
+
+def test_on_stairs_the_force_at_the_com_passes_through_the_planned_zmp(robot, stairs):
+    """m (c̈ + g) points from the ZMP, at the height of the ground, to the CoM."""
+    standing = Standing(robot).reference(0).com[2]
+    assert stairs.com_plan.motion(0.0)[0, 2] == pytest.approx(standing, abs=1e-12)
+    assert stairs.com_plan.motion(9.0)[0, 2] == pytest.approx(standing + 0.04, abs=1e-3)
+    for segment in stairs.com_plan.segments:
+        for share in (0.01, 0.5, 0.99):
+            time = segment.begin + share * (segment.finish - segment.begin)
+            com, _, acceleration = stairs.com_plan.motion(time)
+            zmp = segment.start + share * (segment.end - segment.start)
+            force = acceleration + np.array([0.0, 0.0, GRAVITY])
+            np.testing.assert_allclose(np.cross(com - zmp, force), 0.0, atol=1e-9)
+
+
+def test_on_stairs_a_foot_rises_first_and_passes_above_both_footprints(stairs):
+    for phase in stairs.phases[1::2]:
+        step, duration = phase.step, phase.end_ns - phase.begin_ns
+        path = [stairs.reference(phase.begin_ns + k * duration // 100).swing for k in range(100)]
+        heights = np.array([each.position[2] for each in path])
+        assert heights[0] == pytest.approx(step.start.z, abs=1e-12)
+        assert heights[-1] == pytest.approx(step.goal.z, abs=1e-4)
+        higher = max(step.start.z, step.goal.z)
+        assert heights[50] == pytest.approx(higher + WalkConfig().swing_height, abs=1e-12)
+        # It is above the higher stair before a third of the way, and until the last third.
+        way = [math.dist(each.position[:2], step.start.position) for each in path]
+        over = np.array(way) / math.dist(step.goal.position, step.start.position)
+        assert np.all(heights[(over > 0.2) & (over < 0.8)] > higher)
+
+
+def test_a_foot_clears_the_ground_between_its_footprints(robot):
+    step = dataclasses.replace(plan_footsteps(robot, WalkConfig())[1], highest=0.03)
+    assert step.obstacle == 0.03
+    high = dataclasses.replace(step, goal=dataclasses.replace(step.goal, z=0.1))
+    assert high.obstacle == 0.0
+
+
+def test_the_mpc_plan_refuses_stairs(robot, stairs):
+    with pytest.raises(ConfigError, match="expected dcm over ground that is not level"):
+        Walking(robot, WalkConfig(com_plan="mpc"), steps=stairs.steps)
 
 
 @pytest.mark.parametrize(
