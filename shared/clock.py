@@ -6,6 +6,7 @@ clock; a lockstep run moves a `SimClock` from event to event.
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from typing import Protocol
@@ -34,6 +35,46 @@ class SimClock:
 
     def now_ns(self) -> int:
         return self.time_ns
+
+
+class ScaledClock:
+    """The machine's monotonic clock, or one that runs slower or stands still after `run_at`.
+
+    `origin` (monotonic [ns], own time [ns], speed) says when the speed was set last. Another
+    process that sets the same origin has the same clock.
+    """
+
+    def __init__(self) -> None:
+        self.origin = (0, 0, 1.0)
+
+    @property
+    def speed(self) -> float:
+        """Own time per monotonic time; 0 while the clock stands still."""
+        return self.origin[2]
+
+    def now_ns(self) -> int:
+        return self.at(time.monotonic_ns())
+
+    def at(self, monotonic_ns: int) -> int:
+        """Return the own time at a time of the monotonic clock [ns]."""
+        begun_ns, own_ns, speed = self.origin
+        elapsed_ns = monotonic_ns - begun_ns
+        return own_ns + (elapsed_ns if speed == 1.0 else int(elapsed_ns * speed))
+
+    def run_at(self, speed: float) -> None:
+        """Go on from now at a speed, at least 0."""
+        monotonic_ns = time.monotonic_ns()
+        self.origin = (monotonic_ns, self.at(monotonic_ns), speed)
+
+    def sleep_until(self, due_ns: int) -> None:
+        """Return soon after `due_ns` of this clock, as `sleep_until`.
+
+        Return at once while the clock stands still.
+        """
+        begun_ns, own_ns, speed = self.origin
+        if speed > 0.0:
+            wait_ns = due_ns - own_ns
+            sleep_until(begun_ns + (wait_ns if speed == 1.0 else math.ceil(wait_ns / speed)))
 
 
 def sleep_until(due_ns: int) -> None:

@@ -53,6 +53,8 @@ _CLOSE_SECONDS = 1.0
 _LEASE_SECONDS = 10.0
 # Long enough for a TLS handshake over a link that stalls. Between attempts, a stop signal is seen.
 _ATTEMPT_SECONDS = 3.0
+# Requests on a key that may wait for their answers.
+_MAX_REQUESTS = 4
 
 
 def machine_clock() -> int:
@@ -182,6 +184,24 @@ class ZenohBus:
         direct = zenoh.handlers.Callback(callback, indirect=False)
         self._declared.append(self._session.declare_subscriber(key, direct))
 
+    def serve(self, key: str) -> ZenohRequests:
+        """Return the requests that other sessions make on a key.
+
+        At most `_MAX_REQUESTS` wait. A flood of them is dropped outside of Python, so that it takes
+        no time from this process's threads.
+        """
+        waiting = zenoh.handlers.RingChannel(_MAX_REQUESTS)
+        queryable = self._session.declare_queryable(key, waiting)
+        self._declared.append(queryable)
+        return ZenohRequests(queryable)
+
+    def ask(self, key: str, data: bytes, *, within: float) -> bytes | None:
+        """Make a request and return its answer; None if no process has answered `within` [s]."""
+        for reply in self._session.get(key, payload=data, timeout=within):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+        return None
+
     def close(self) -> None:
         """Close the session. Never raise, and return after at most a second.
 
@@ -231,6 +251,24 @@ class ZenohPublisher:
             delivery.data, attachment=None if envelope is None else envelope.encode()
         )
         self.sent += 1
+
+
+class ZenohRequests:
+    """Requests on one key of a `ZenohBus`."""
+
+    def __init__(self, queryable: zenoh.Queryable[Any]) -> None:
+        self._queryable = queryable
+
+    def answer(self, respond: Callable[[bytes], bytes]) -> bool:
+        """Wait for a request and answer it. Return False once the bus is closed."""
+        try:
+            query = self._queryable.recv()
+        except zenoh.ZError:
+            return False
+        with query:
+            payload = query.payload
+            query.reply(query.key_expr, respond(b"" if payload is None else payload.to_bytes()))
+        return True
 
 
 def _check_limits() -> None:
