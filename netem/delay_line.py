@@ -18,6 +18,10 @@ import numpy as np
 from netem.profile import DIRECTIONS, LOST, Profile, begin_ns
 from shared.config.quantities import Outage
 from shared.config.settings import LinkConfig
+from shared.wire.operator import AddDelay, Cut, LinkCommand, Restore, SetLoss, Stall
+
+# Outages that overlap; of more, the last ones count.
+_MAX_OUTAGES = 100
 
 Item = TypeVar("Item")
 
@@ -53,6 +57,24 @@ def make_lines(
     ]
 
 
+def apply_to(
+    lines: Sequence[DelayLine[Any]],
+    command: LinkCommand,
+    *,
+    now_ns: int,
+    profile: Profile | None,
+    config: LinkConfig,
+    seed: int,
+) -> None:
+    """Carry out an operator's command on both directions, for messages sent from `now_ns` on.
+
+    `profile` is that of a `ReplaceProfile`; it begins where a run of this seed begins in it.
+    """
+    place_ns = 0 if profile is None else begin_ns(profile, config, seed=seed)
+    for line in lines:
+        line.change(command, now_ns=now_ns, profile=profile, place_ns=place_ns)
+
+
 class DelayLine(Generic[Item]):
     """One direction that delays items by a profile. `lost` counts the items that it loses."""
 
@@ -72,13 +94,17 @@ class DelayLine(Generic[Item]):
     ) -> None:
         self.profile = profile
         self.lost = 0
+        self._direction = direction
+        self._queue_bytes = queue_bytes
         self._delay_ns = profile.source(direction, queue_bytes=queue_bytes)
+        self._added_ns = 0
+        self._settings_loss = loss
         self._count_as = count_as
         self._start_ns = start_ns
         self._offset_ns = offset_ns
         self._loss = loss
         self._keep_order = keep_order
-        self._outages = outages
+        self._outages = tuple(outages)
         self._rng = rng
         self._heap: list[tuple[int, int, Due[Item]]] = []
         self._pushed = 0
@@ -100,13 +126,39 @@ class DelayLine(Generic[Item]):
         if delay_ns == LOST or (self._loss > 0.0 and self._rng.random() < self._loss):
             self.lost += 1
             return None
-        due_ns = sent_ns + delay_ns
+        due_ns = sent_ns + delay_ns + self._added_ns
         if self._keep_order:
             due_ns = self._last_due_ns = max(due_ns, self._last_due_ns)
         entry = Due(item, sent_ns, due_ns - sent_ns)
         heapq.heappush(self._heap, (due_ns, self._pushed, entry))
         self._pushed += 1
         return due_ns
+
+    def change(
+        self, command: LinkCommand, *, now_ns: int, profile: Profile | None, place_ns: int
+    ) -> None:
+        """Carry out an operator's command on this direction, as `apply_to`.
+
+        `place_ns` is the place in a new `profile` where the link goes on [ns].
+        """
+        elapsed_ns = max(0, now_ns - self._start_ns)
+        if isinstance(command, Restore):
+            self._outages = tuple(each for each in self._outages if each.start_ns > elapsed_ns)
+            self._added_ns, self._loss = 0, self._settings_loss
+        elif isinstance(command, Cut | Stall):
+            duration_ns = command.duration_ns if isinstance(command, Stall) else None
+            lasting = [each for each in self._outages if not each.over(elapsed_ns)]
+            self._outages = (*lasting[-_MAX_OUTAGES:], Outage(elapsed_ns, duration_ns))
+        elif isinstance(command, AddDelay):
+            half_ns = command.round_trip_ns // 2
+            self._added_ns = half_ns if self._direction else command.round_trip_ns - half_ns
+        elif isinstance(command, SetLoss):
+            self._loss = command.probability
+        else:
+            assert profile is not None
+            self.profile = profile
+            self._delay_ns = profile.source(self._direction, queue_bytes=self._queue_bytes)
+            self._offset_ns = place_ns - elapsed_ns
 
     @property
     def next_due_ns(self) -> int | None:

@@ -16,6 +16,7 @@ from netem.profile import DelayProfile, Profile
 from netem.profile_file import is_file, read_profile
 from shared.config.quantities import parse_duration_ns
 from shared.errors import ConfigError, ProfileError, did_you_mean
+from shared.wire.operator import LinkCommand, ReplaceProfile
 
 SHIPPED = Path(__file__).parent / "profiles"
 CAPACITY = "capacity:"
@@ -26,6 +27,11 @@ def load_network(network: str) -> Profile:
     """The network of that name: the delays of a profile or, after `capacity:`, its link."""
     profile = load_profile(network.removeprefix(CAPACITY))
     return capacity_of(profile) if network.startswith(CAPACITY) else profile
+
+
+def profile_of(command: LinkCommand) -> Profile | None:
+    """Return the profile that an operator's command names; None if it names none."""
+    return load_network(command.network) if isinstance(command, ReplaceProfile) else None
 
 
 def load_profile(network: str) -> DelayProfile:

@@ -15,10 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from netem.delay_line import DelayLine, Due, make_lines
+from netem.delay_line import DelayLine, Due, apply_to, make_lines
 from netem.profile import Profile, begin_ns
 from shared.bus.base import Delivery, Publisher
+from shared.clock import ScaledClock
 from shared.config.settings import LinkConfig
+from shared.errors import LinkError
+from shared.wire.operator import LinkCommand
 
 _IDLE_SECONDS = 0.1
 # Messages of each direction released in one go. At the end of an outage hundreds of messages leave
@@ -43,7 +46,8 @@ class Shim:
 
     `row` gives the next row of `LINK_SCHEMA` to fill. `clock` is the identity of this machine's
     clock in envelopes; with 0 the shim uses no stamp. For the last `spin_ns` before a message is
-    due, the thread spins.
+    due, the thread spins. The shim's `time` is that of the robot, so that delays scale with
+    simulated time.
     """
 
     def __init__(
@@ -58,6 +62,7 @@ class Shim:
         say: Callable[[str], None],
         spin_ns: int = 0,
     ) -> None:
+        self.time = ScaledClock()
         self._spin_ns = spin_ns
         self._profile = profile
         self._config = config
@@ -102,6 +107,35 @@ class Shim:
 
         return take
 
+    def change(self, command: LinkCommand, profile: Profile | None) -> int:
+        """Carry out an operator's command; return the time from which it holds [ns].
+
+        `profile` is the one that the command names. Raise `LinkError` before the first message.
+        """
+        with self._changed:
+            if not self._lines:
+                raise LinkError(f"{command}: no message has come to the link yet; try again")
+            now_ns = self.time.now_ns()
+            apply_to(
+                self._lines,
+                command,
+                now_ns=now_ns,
+                profile=profile,
+                config=self._config,
+                seed=self._seed,
+            )
+            if profile is not None:
+                self._profile = profile
+                self.passes = self._lines[0].passes(now_ns)
+            return now_ns
+
+    def set_time(self, origin: tuple[int, int, float]) -> None:
+        """Go on with the robot's time, by the origin of its clock."""
+        if origin != self.time.origin:
+            with self._changed:
+                self.time.origin = origin
+                self._changed.notify()
+
     def run(self, stopping: Callable[[], bool]) -> None:
         """Release messages until `stopping()`. Messages that arrive later are ignored."""
         while not stopping():
@@ -114,9 +148,9 @@ class Shim:
         """The sending time [ns]: the message's stamp if it is of our clock, or else the present."""
         now_ns, envelope = time.monotonic_ns(), delivery.envelope
         if envelope is None or envelope.clock != self._clock or self._clock == 0:
-            return now_ns
+            return self.time.at(now_ns)
         # A stamp in the future is wrong. All later messages would wait behind such a message.
-        return min(envelope.sent_ns, now_ns)
+        return self.time.at(min(envelope.sent_ns, now_ns))
 
     def _has_room(self, delivery: Delivery) -> bool:
         """Return whether there is room for one more message. Report the first overflow."""
@@ -140,27 +174,29 @@ class Shim:
             if not due:
                 self._changed.wait(_IDLE_SECONDS)
                 return False
-            due_ns = min(due)
-            sleep_ns = due_ns - time.monotonic_ns() - self._spin_ns
+            due_ns, speed = min(due), self.time.speed
+            sleep_ns = due_ns - self.time.now_ns() - self._spin_ns
             if sleep_ns > 0:
                 # Wake up during a long outage too, to see a request to stop.
-                self._changed.wait(min(sleep_ns * 1e-9, _IDLE_SECONDS))
+                seconds = sleep_ns * 1e-9 / speed if speed > 0.0 else _IDLE_SECONDS
+                self._changed.wait(min(seconds, _IDLE_SECONDS))
                 return False
         # Spin without the lock, so that messages come in meanwhile.
-        while time.monotonic_ns() < due_ns:
-            pass
+        while self.time.now_ns() < due_ns:
+            if self.time.speed == 0.0:
+                return False
         return True
 
     def _release(self) -> None:
         with self._changed:
-            now_ns = time.monotonic_ns()
+            now_ns = self.time.now_ns()
             ready = [line.pop_due(now_ns, limit=_BATCH) for line in self._lines]
             passes = self._lines[0].passes(now_ns)
         released = []
         for direction, messages in enumerate(ready):
             for due in messages:
                 self._publishers[direction].forward(due.item)
-                released.append((direction, due, time.monotonic_ns()))
+                released.append((direction, due, self.time.now_ns()))
         with self._changed:
             for direction, due, released_ns in released:
                 self._held_bytes -= len(due.item.data)

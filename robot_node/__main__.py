@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from robot_node.commands import RobotCommands
 from robot_node.live import LiveLoop, Narrator
 from robot_node.node import RobotNode
 from robot_node.worker import WorkerComputer
@@ -45,6 +46,8 @@ from shared.robots import load_robot
 from shared.wire.channels import DOWNLINK, TICKS_KEY, UPLINK
 
 _PRIORITY = 30
+# Task times stay inside 64 bits of nanoseconds.
+_ENDLESS_NS = 2**62
 
 
 def main() -> int:
@@ -56,6 +59,11 @@ def main() -> int:
         help="the shim, the edge itself, or a router (default %(default)s)",
     )
     add_service_arguments(parser)
+    parser.add_argument(
+        "--stay",
+        action="store_true",
+        help="go on until a signal, longer than --duration; after a fall wait for a reset",
+    )
     add_run_arguments(parser)
     arguments = parser.parse_args()
     config = config_from(arguments)
@@ -91,19 +99,24 @@ def main() -> int:
         inbox=inbox,
         log=log.rows,
         explain=lambda: preflight(arguments.connect, me.credentials),
+        stays=arguments.stay,
     )
     bus.subscribe(DOWNLINK.key_for(me.robot), loop.receive)
+    commands: RobotCommands | None = None
+    if log.hub is not None:
+        commands = RobotCommands(log.hub, node, loop, _say)
     suspend_garbage_collection()
     print(f"READY {me.robot} → {arguments.connect} ({scheduling})", flush=True)
 
     failure: LinkError | None = None
-    with Narrator(loop, lambda text: print(text, flush=True)):
+    duration_ns = _ENDLESS_NS if arguments.stay else round(config.duration * 1e9)
+    each_look = _nothing if commands is None else commands.tell_clock
+    with Narrator(loop, _say, each_look=each_look):
         try:
-            loop.run(duration_ns=round(config.duration * 1e9), stopping=lambda: stop.requested)
+            loop.run(duration_ns=duration_ns, stopping=lambda: stop.requested)
         except LinkError as error:
             failure = error
-    if node.on_board is not None:
-        node.on_board.close()
+    node.close()
 
     def make_report(rows: np.ndarray) -> dict[str, Any]:
         return robot_report(
@@ -126,9 +139,9 @@ def main() -> int:
         if report["fall"] is not None:
             reason = fall_in_words(report["fall"], controller=config.controller)
             outcome = f"fell after {report['task_seconds']:.2f} s: {reason}"
-        commands = commands_in_words(report["commands"], config.controller)
+        sources = commands_in_words(report["commands"], config.controller)
         print(
-            f"{outcome}; commands: {commands}; CoM error "
+            f"{outcome}; commands: {sources}; CoM error "
             f"{100 * (report['com_error_m'] or 0):.2f} cm, {report['overruns']} overruns",
             flush=True,
         )
@@ -138,8 +151,16 @@ def main() -> int:
         raise failure
     if node.fallen:
         return EXIT_FELL
-    finished = node.time_ns >= round(config.duration * 1e9)
+    finished = arguments.stay or node.time_ns >= duration_ns
     return EXIT_STANDING if finished else EXIT_INTERRUPTED
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _nothing() -> None:
+    """Do nothing at a look: no hub wants the clock."""
 
 
 if __name__ == "__main__":

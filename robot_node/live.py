@@ -12,9 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from robot_node.node import RobotNode
+from robot_node.pace import Pace
 from robot_node.tick import Tick
 from shared.bus.base import Delivery, Inbox, Publisher
-from shared.clock import MonotonicClock, Ticker, sleep_until
+from shared.clock import Ticker
 from shared.config.settings import LoopConfig
 from shared.errors import LinkError
 from shared.output.no_start import refused_in_words, too_old
@@ -24,6 +25,10 @@ from shared.telemetry.schema import Source
 
 # An answer older than this is reported: no healthy link is that slow.
 STALE_NS = 250_000_000
+# The wait for the tick that carries a command out.
+_BETWEEN_SECONDS = 2.0
+# Between two looks for a command while simulated time stands still.
+_STANDING_SECONDS = 2e-3
 # An overtaken message is refused as a matter of course.
 _OVERTAKEN = "stale"
 
@@ -33,7 +38,7 @@ class Progress:
     """State of the loop for other threads, overwritten every tick.
 
     `silence_ns` is the age of the state that the edge has answered last. `walk_ended`: a joint hold
-    has ended the walk.
+    has ended the walk. The next tick is due at `due_ns` of the robot's clock.
     """
 
     time_ns: int = 0
@@ -41,6 +46,17 @@ class Progress:
     silence_ns: int = -1
     running: bool = False
     walk_ended: bool = False
+    due_ns: int = 0
+
+
+class _Between:
+    """An action between two ticks, and the task time at which it was done."""
+
+    def __init__(self, action: Callable[[], None]) -> None:
+        self.action = action
+        self.time_ns = 0
+        self.error: Exception | None = None
+        self.done = threading.Event()
 
 
 class LiveLoop:
@@ -48,7 +64,8 @@ class LiveLoop:
 
     By Eq. (7) the robot waits d* for the answer to this tick's state. While the last answer took
     longer than d* to come, the wait would be in vain, and the command follows at once. `explain`
-    describes the endpoint if no answer comes.
+    describes the endpoint if no answer comes. With `stays`, a fall does not end the loop: simulated
+    time stands still until a reset.
     """
 
     def __init__(
@@ -60,16 +77,20 @@ class LiveLoop:
         inbox: Inbox,
         log: RowLog,
         explain: Callable[[], str],
+        stays: bool = False,
     ) -> None:
         self.progress = Progress()
         self.wall_seconds = 0.0
+        self.pace = Pace()
         self._node = node
         self._config = config
         self._uplink = uplink
         self._inbox = inbox
         self._tick = Tick(node, log.row)
         self._explain = explain
-        self._clock = MonotonicClock()
+        self._stays = stays
+        self._between: _Between | None = None
+        self._clock = self.pace.clock
         self._arrived_ns = 0
         self._round_trip_ns = 0
 
@@ -94,6 +115,19 @@ class LiveLoop:
         self._arrived_ns = self._clock.now_ns()
         self._inbox.put(delivery)
 
+    def between_ticks(self, action: Callable[[], None]) -> int:
+        """Do an action between two ticks. Return the task time of the tick that follows [ns].
+
+        Call this from one other thread. Raise `LinkError` if no tick comes.
+        """
+        waiting = self._between = _Between(action)
+        if not waiting.done.wait(_BETWEEN_SECONDS):
+            self._between = None
+            raise LinkError(f"expected a tick within {_BETWEEN_SECONDS:g} s, got none; try again")
+        if waiting.error is not None:
+            raise waiting.error
+        return waiting.time_ns
+
     def run(self, *, duration_ns: int, stopping: Callable[[], bool]) -> None:
         """Run until the task has lasted `duration_ns`, the robot has fallen, or `stopping()` is
         true.
@@ -105,9 +139,17 @@ class LiveLoop:
         ticker = Ticker(start_ns=begun_ns, period_ns=config.period_ns)
         task_began_ns = begun_ns
         budget = RealtimeBudget()
-        while node.time_ns < duration_ns and not node.fallen and not stopping():
-            budget.keep(clock.now_ns())
-            sleep_until(ticker.due_ns)
+        while node.time_ns < duration_ns and not stopping():
+            if node.fallen:
+                if not self._stays:
+                    break
+                self.pace.stand_still()
+            budget.keep(time.monotonic_ns())
+            clock.sleep_until(ticker.due_ns)
+            if self._between is not None:
+                self._carry_out(self._between)
+            if self.pace.left is not None:
+                self._stand_still(stopping)
             now_ns = clock.now_ns()
             late_ns = now_ns - ticker.due_ns
             state = self._tick.begin(now_ns)
@@ -119,7 +161,7 @@ class LiveLoop:
                 node.controller.every_state_answered
                 and self._round_trip_ns < config.fresh_within_ns
             ):
-                sleep_until(ticker.due_ns + config.fresh_within_ns)
+                clock.sleep_until(ticker.due_ns + config.fresh_within_ns)
             was_running = node.running
             command, answered = self._tick.end(
                 clock.now_ns(),
@@ -140,9 +182,39 @@ class LiveLoop:
             ticker.next(now_ns)
             silence_ns = now_ns - node.cache.newest_stamp_ns
             self.progress = Progress(
-                node.time_ns, command.source, silence_ns, node.running, node.walk_ended
+                node.time_ns,
+                command.source,
+                silence_ns,
+                node.running,
+                node.walk_ended,
+                ticker.due_ns,
             )
         self.wall_seconds = (clock.now_ns() - task_began_ns) * 1e-9
+
+    def _carry_out(self, waiting: _Between) -> None:
+        """Do the action of `between_ticks`. A reset after a fall lets simulated time go on."""
+        had_fallen = self._node.fallen
+        try:
+            waiting.action()
+        except Exception as error:  # the tick never raises
+            waiting.error = error
+        if had_fallen and not self._node.fallen:
+            self.pace.resume()
+        waiting.time_ns = self._node.time_ns
+        self._between = None
+        waiting.done.set()
+
+    def _stand_still(self, stopping: Callable[[], bool]) -> None:
+        """Wait while simulated time stands still. Count the ticks until it does."""
+        pace = self.pace
+        if pace.left == 0:
+            pace.stand_still()
+            while pace.left == 0 and not stopping():
+                time.sleep(_STANDING_SECONDS)
+                if self._between is not None:
+                    self._carry_out(self._between)
+        if pace.left:
+            pace.left -= 1
 
     def _check_timeout(self, waited_ns: int) -> None:
         if waited_ns <= self._config.connect_timeout * 1e9:
@@ -160,13 +232,20 @@ class LiveLoop:
 
 
 class Narrator:
-    """Reports the events of the robot, from a separate thread."""
+    """Reports the events of the robot, from a separate thread, which calls `each_look` too."""
 
     _PERIOD_SECONDS = 0.1
 
-    def __init__(self, loop: LiveLoop, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        loop: LiveLoop,
+        say: Callable[[str], None],
+        *,
+        each_look: Callable[[], None] = lambda: None,
+    ) -> None:
         self._loop = loop
         self._say = say
+        self._each_look = each_look
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="narrator", daemon=True)
 
@@ -185,6 +264,7 @@ class Narrator:
         answering = 1
         while not self._done.wait(self._PERIOD_SECONDS):
             progress = self._loop.progress
+            self._each_look()
             if not progress.running:
                 continue
             if not running:

@@ -11,10 +11,27 @@ tick never raises: errors are counted by name.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
 import numpy as np
 
-from robot_node.controllers import Command, ControllerParts, MakeController, make_controller
-from robot_node.onboard import MakeSolve, ModelledComputer, OnBoardComputer, StartComputer
+from robot_node.cache import AnswerCache
+from robot_node.controllers import (
+    Command,
+    Controller,
+    ControllerParts,
+    MakeController,
+    make_controller,
+)
+from robot_node.onboard import (
+    MakeSolve,
+    ModelledComputer,
+    OnBoard,
+    OnBoardComputer,
+    StartComputer,
+)
 from robot_node.plan_anchor import PlanAnchor
 from robot_node.plant import Plant, make_plant
 from robot_node.safety import JointHold, TorqueGuard, TorqueRateLimiter, has_fallen
@@ -23,6 +40,7 @@ from robot_node.sensors import Sensors
 from robot_node.sent_states import SentStates
 from robot_node.tick_row import Moment, TickRow
 from shared.bus.base import Delivery, SenderCounter, new_session
+from shared.config.quantities import Push
 from shared.config.settings import RunConfig
 from shared.robots import Foot, Robot
 from shared.telemetry.schema import Schema, Source, tick_schema
@@ -30,9 +48,13 @@ from shared.wbc.contacts import ContactMode
 from shared.wbc.limits import Limits
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference
-from shared.wbc.stack import make_stacks
+from shared.wbc.stack import Stack, make_stacks
 from shared.wire.codec import Codec
 from shared.wire.messages import RobotState
+from shared.wire.operator import PushCommand, Reset, RobotCommand, SwitchController
+
+# Pushes of an operator that act at the same time.
+_MAX_PUSHES = 20
 
 
 class RobotNode:
@@ -60,7 +82,7 @@ class RobotNode:
         # The least age of an answer that was too old for its command.
         self.youngest_answer_ns: int | None = None
         self._config = config
-        self._motion = motion
+        self._motion = self._whole_motion = motion
         self._plant = self._make_plant(robot)
         period_ns = config.loop.period_ns
         self._sensors = Sensors(config.sensors, seed=config.seed, period=period_ns * 1e-9)
@@ -74,26 +96,16 @@ class RobotNode:
         self.answers = SenderCounter()
         self._sent = SentStates(robot.model.nv - 6)
         self._codec = Codec(robot, config, motion)
-
-        def model_computer(make_solve: MakeSolve) -> OnBoardComputer:
-            ready_after_ns = config.switch.ready_after_ns(config.switch.compute_ns)
-            return ModelledComputer(
-                make_solve(robot, config, motion), ready_after_ns=ready_after_ns
-            )
-
-        self.controller = make_controller(
-            ControllerParts(
-                config=config,
-                motion=motion,
-                codec=self._codec,
-                session=self._session,
-                model=self._model,
-                stacks=stacks,
-                start_computer=start_computer or model_computer,
-            )
-        )
+        self._make_controller = make_controller
+        self._start_computer = start_computer or self._model_computer
+        self.controller = self._controller_of(config, self._session, self._model, stacks)
+        # Takes the answers: the controller's, or that of the controller that waits for its first.
         self.cache = self.controller.cache
         self.on_board = self.controller.on_board
+        self._switching: ControllerSwitch | None = None
+        self._retired: list[OnBoard] = []
+        self._on_board_qps = 0
+        self._pushes = config.pushes
         self._torque_rate_limiter = TorqueRateLimiter(self._guard)
         self._last_rung = Source.HELD
         self._hold = JointHold(robot, timestep=config.loop.period_ns * 1e-9)
@@ -113,10 +125,41 @@ class RobotNode:
     @property
     def walk_ended(self) -> bool:
         """Return whether a joint hold has ended the walk."""
-        return self._plan.skipped_ns > 0
+        return self._plan.ended
+
+    def prepare(self, command: RobotCommand) -> Callable[[], None]:
+        """Do the slow part of a command. Return a function that carries it out between two ticks.
+
+        This may run on another thread than the tick, on one at a time. The commands that concern
+        the pace of simulated time are the driver's. Raise `ConfigError` if the command cannot be
+        carried out.
+        """
+        self._close_retired()
+        if isinstance(command, PushCommand):
+            return partial(self._add_push, command)
+        if isinstance(command, SwitchController):
+            config = replace(self._config, controller=command.controller)
+            made = self._another_controller(config, self._session)
+            return partial(self._begin_switch, ControllerSwitch(config, made))
+        if isinstance(command, Reset):
+            switching = self._switching
+            config = self._config if switching is None else switching.config
+            session = (self._session + 1) % 2**32
+            return partial(self._reset, session, config, self._another_controller(config, session))
+        return _nothing
+
+    def close(self) -> None:
+        """End the processes of the on-board computer."""
+        self._close_retired()
+        if self._switching is not None and self._switching.controller.on_board is not None:
+            self._switching.controller.on_board.close()
+        if self.on_board is not None:
+            self.on_board.close()
 
     def measure(self, now_ns: int) -> bytes:
         """First phase: sense, observe, and return the state message to send."""
+        if self._switching is not None:
+            self._go_on_switching(self._switching)
         self._true_state = self._plant.state()
         measured = self._sensors.measure(*self._true_state)
         self._q_in_world, v = self.sensor_guard.check(*measured)
@@ -148,6 +191,8 @@ class RobotNode:
 
     def receive(self, delivery: Delivery) -> bool:
         """Offer a message from the edge to the cache. Return whether it was taken."""
+        if self._switching is not None:
+            self.controller.cache.offer(delivery.data, sent=self._sent)
         taken = self.cache.offer(delivery.data, sent=self._sent)
         self.answers.count(delivery.envelope, taken=taken)
         return taken
@@ -225,7 +270,8 @@ class RobotNode:
             plan_ns=self._plan_ns,
             push=push,
             contact_force=self._contact_force,
-            on_board_qps=0 if self.on_board is None else self.on_board.solves,
+            on_board_qps=self._on_board_qps
+            + (0 if self.on_board is None else self.on_board.solves),
             refused=self.cache.refused.total_refused,
         )
 
@@ -275,11 +321,119 @@ class RobotNode:
 
     def _push(self) -> np.ndarray:
         force = np.zeros(3)
-        for push in self._config.pushes:
+        for push in self._pushes:
             if push.active(self.time_ns):
                 force += push.force
         return force
 
+    def _add_push(self, command: PushCommand) -> None:
+        """Push from this tick on. Pushes that are over are forgotten."""
+        lasting = [each for each in self._pushes if not each.over(self.time_ns)]
+        push = Push(command.vector, self.time_ns, command.duration_ns)
+        self._pushes = (*lasting[:_MAX_PUSHES], push)
+
+    def _begin_switch(self, switch: ControllerSwitch) -> None:
+        """Let another controller collect answers. Until it has one, the present one goes on."""
+        self._abandon_switch()
+        switch.before_ns = self.cache.newest_stamp_ns
+        self.cache = _continued(switch.controller.cache, self.cache)
+        self._switching = switch
+
+    def _go_on_switching(self, switch: ControllerSwitch) -> None:
+        """Change to the other controller once it has an answer."""
+        if self.cache.newest_stamp_ns > switch.before_ns:
+            self._switching = None
+            self._replace_controller(switch.config, switch.controller)
+
+    def _replace_controller(self, config: RunConfig, controller: Controller) -> None:
+        if self.on_board is not None:
+            self._on_board_qps += self.on_board.solves
+            self._retired.append(self.on_board)
+        self._config, self.controller = config, controller
+        self.cache, self.on_board = controller.cache, controller.on_board
+
+    def _abandon_switch(self) -> None:
+        if self._switching is not None and self._switching.controller.on_board is not None:
+            self._retired.append(self._switching.controller.on_board)
+        self._switching = None
+
+    def _reset(self, session: int, config: RunConfig, controller: Controller) -> None:
+        """Put the robot at the beginning of its task, as another start of it for the edge."""
+        robot, period_ns = self._model.robot, config.loop.period_ns
+        _continued(controller.cache, self.cache)
+        self._abandon_switch()
+        self._replace_controller(config, controller)
+        self._session = session
+        self._plant.set_state(robot.q_standing, np.zeros(robot.model.nv))
+        faults = self.sensor_guard.faults
+        self.sensor_guard = SensorGuard(robot, config.sensors, period_ns=period_ns)
+        self.sensor_guard.faults.update(faults)
+        self.tick_row.forget_soles()
+        self._hold = JointHold(robot, timestep=period_ns * 1e-9)
+        self._torque_rate_limiter = TorqueRateLimiter(self._guard)
+        self._motion = self._whole_motion
+        self._plan = PlanAnchor(self._model, skipped_ns=-self.time_ns)
+        self._pushes = tuple(each for each in self._pushes if each.start_ns > self.time_ns)
+        self._stopping = self._lands = self.fallen = False
+
+    def _another_controller(self, config: RunConfig, session: int) -> Controller:
+        """Make a controller with workspaces of its own, so that the tick may go on meanwhile."""
+        robot = self._model.robot
+        stacks = make_stacks(robot, config.wbc, Limits.of(robot, config))
+        return self._controller_of(config, session, WholeBodyModel(robot), stacks)
+
+    def _controller_of(
+        self,
+        config: RunConfig,
+        session: int,
+        model: WholeBodyModel,
+        stacks: dict[ContactMode, Stack],
+    ) -> Controller:
+        return self._make_controller(
+            ControllerParts(
+                config=config,
+                motion=self._whole_motion,
+                codec=self._codec,
+                session=session,
+                model=model,
+                stacks=stacks,
+                start_computer=self._start_computer,
+            )
+        )
+
+    def _model_computer(self, make_solve: MakeSolve) -> OnBoardComputer:
+        config = self._config
+        ready_after_ns = config.switch.ready_after_ns(config.switch.compute_ns)
+        solve = make_solve(self._model.robot, config, self._whole_motion)
+        return ModelledComputer(solve, ready_after_ns=ready_after_ns)
+
+    def _close_retired(self) -> None:
+        while self._retired:
+            self._retired.pop().close()
+
     def _make_plant(self, robot: Robot) -> Plant:
         timestep = self._config.loop.period_ns * 1e-9
         return make_plant(robot, self._config.plant, timestep=timestep)
+
+
+@dataclass
+class ControllerSwitch:
+    """A controller that waits for its first answer, with its settings.
+
+    `before_ns` is the time of the state that was answered last before.
+    """
+
+    config: RunConfig
+    controller: Controller
+    before_ns: int = 0
+
+
+def _continued(cache: AnswerCache, before: AnswerCache) -> AnswerCache:
+    """Let a new cache go on with the counts of the one before."""
+    cache.refused.update(before.refused)
+    cache.newest_stamp_ns = before.newest_stamp_ns
+    return cache
+
+
+def _nothing() -> None:
+    """Carry out a command that is the driver's."""

@@ -36,11 +36,16 @@ _MAX_SWITCHES = 10_000
 
 
 class PlanAnchor:
-    """The place of the plan: its `frame` in the world, and `skipped_ns` of its time."""
+    """The place of the plan: its `frame` in the world, and `skipped_ns` of its time.
 
-    def __init__(self, model: WholeBodyModel) -> None:
+    `skipped_ns` is negative for a plan that begins later than the task. `ended`: a joint hold has
+    ended the walk.
+    """
+
+    def __init__(self, model: WholeBodyModel, *, skipped_ns: int = 0) -> None:
         self.frame = PlanFrame()
-        self.skipped_ns = 0
+        self.skipped_ns = skipped_ns
+        self.ended = False
         self._model = model
         self._average = np.zeros(3)
         self._ticks = 0
@@ -62,6 +67,7 @@ class PlanAnchor:
         final = self._final_stand_of(motion)
         if final.last_switch_ns is not None and time_ns + self.skipped_ns < final.last_switch_ns:
             self.skipped_ns = final.last_switch_ns + _REST_NS - time_ns
+            self.ended = True
         x, y, yaw = self._average.tolist()
         self.frame = PlanFrame.between(PlanFrame(x, y, yaw), final.stance)
 

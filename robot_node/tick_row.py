@@ -117,6 +117,10 @@ class TickRow:
         loads = (torques.max(axis=1), beyond.max(axis=1), speeds.max(axis=1))
         rows[:, self._loads] = np.stack(loads, axis=1)
 
+    def forget_soles(self) -> None:
+        """Take the next place of each sole as the one where it was set down."""
+        self._set_down = [None for _ in Foot]
+
     def _forces(self, decision: Decision) -> tuple[np.ndarray, np.ndarray]:
         """Forces of the left and of the right sole."""
         f = decision.y[self._model.nv :]

@@ -18,11 +18,11 @@ from shared.wire.operator import (
     ROBOT_COMMANDS_KEY,
     Accepted,
     Command,
+    LinkCommand,
     decode_answer,
     decode_command,
     encode_answer,
     encode_command,
-    is_link_command,
 )
 
 _PAUSE_SECONDS = 0.02
@@ -40,7 +40,7 @@ class CommandClient:
 
         Raise `LinkError` with the reason if it is refused, or if no process answers.
         """
-        of_link = is_link_command(command)
+        of_link = isinstance(command, LinkCommand)
         key = LINK_COMMANDS_KEY if of_link else ROBOT_COMMANDS_KEY
         data = self._bus.ask(key, encode_command(command), within=_ANSWER_SECONDS)
         if data is None:

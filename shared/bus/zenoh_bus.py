@@ -190,7 +190,7 @@ class ZenohBus:
         At most `_MAX_REQUESTS` wait. A flood of them is dropped outside of Python, so that it takes
         no time from this process's threads.
         """
-        waiting = zenoh.handlers.RingChannel(_MAX_REQUESTS)
+        waiting: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(_MAX_REQUESTS)
         queryable = self._session.declare_queryable(key, waiting)
         self._declared.append(queryable)
         return ZenohRequests(queryable)

@@ -21,6 +21,10 @@ class Push:
         """Return whether the push acts at `time_ns` of the task."""
         return self.start_ns <= time_ns < self.start_ns + self.duration_ns
 
+    def over(self, time_ns: int) -> bool:
+        """Return whether the push has acted before `time_ns` of the task and never will again."""
+        return self.start_ns + self.duration_ns <= time_ns
+
 
 _UNITS_NS = {"us": 1e3, "ms": 1e6, "s": 1e9}
 # Larger times and forces are typing errors. Up to this bound, times stay well inside 64 bits of ns.
@@ -68,6 +72,10 @@ class Outage:
         """Return whether the outage acts on a message sent at `time_ns`."""
         end_ns = math.inf if self.duration_ns is None else self.start_ns + self.duration_ns
         return self.start_ns <= time_ns < end_ns
+
+    def over(self, time_ns: int) -> bool:
+        """Return whether the outage has ended by `time_ns`."""
+        return self.duration_ns is not None and self.start_ns + self.duration_ns <= time_ns
 
 
 def parse_outage(text: str) -> Outage:

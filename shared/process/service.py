@@ -164,10 +164,11 @@ class ServiceLog:
         self.name = name
         self._out = out
         self._temporary = tempfile.TemporaryDirectory(prefix="remote-wbc-")
-        self._hub = ZenohBus(connect=[telemetry], mode="client") if telemetry else None
+        # The session of the telemetry, which never crosses the link; None without a hub.
+        self.hub = ZenohBus(connect=[telemetry], mode="client") if telemetry else None
         publish: Callable[[bytes], None] | None = None
-        if self._hub is not None:
-            publish = self._hub.publisher(key).publish
+        if self.hub is not None:
+            publish = self.hub.publisher(key).publish
         if out is not None:
             try:
                 out.mkdir(parents=True, exist_ok=True)
@@ -209,8 +210,8 @@ class ServiceLog:
                     f"{failure.strerror or failure}; free space on the disk, or try another --out",
                     flush=True,
                 )
-        if self._hub is not None:
-            self._hub.close()
+        if self.hub is not None:
+            self.hub.close()
         self._temporary.cleanup()
         return result
 

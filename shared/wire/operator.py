@@ -173,14 +173,10 @@ class Stall:
         return f"link outage {_duration(self.duration_ns)}"
 
 
+# Carried out by the robot, and by the shim.
 RobotCommand = PushCommand | SwitchController | Reset | Pause | Step | Speed | Resume
 LinkCommand = Cut | Restore | AddDelay | SetLoss | ReplaceProfile | Stall
 Command = RobotCommand | LinkCommand
-
-
-def is_link_command(command: Command) -> bool:
-    """Return whether the shim carries a command out, and not the robot."""
-    return isinstance(command, Cut | Restore | AddDelay | SetLoss | ReplaceProfile | Stall)
 
 
 def parse_command(text: str) -> Command:
