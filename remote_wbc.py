@@ -81,6 +81,47 @@ def run_completion(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def add_link_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of both commands named `link`; the word after it tells them apart."""
+    from deploy.operate import add_link_arguments as add_change_arguments
+    from deploy.operate import add_stack_arguments
+    from shared.wire.operator import LINK_WORDS
+
+    if sys.argv[1:2] == ["link"] and sys.argv[2:3] and sys.argv[2] in LINK_WORDS:
+        # The study takes long to import.
+        add_change_arguments(parser)
+        return
+    from experiments.link import add_link_arguments as add_study_arguments
+
+    parser.description = (
+        f"Try each controller over the whole link NETWORK; or change the link of a running stack, "
+        f"if NETWORK is one of {', '.join(LINK_WORDS)}: wbc link cut, wbc link delay 80ms, wbc "
+        "link loss 10%, wbc link profile factory/011, wbc link outage 300ms. A file of such a name "
+        "needs its folder: ./cut."
+    )
+    add_study_arguments(parser)
+    parser.add_argument(
+        "value", metavar="VALUE", nargs="?", help="of a change to a running stack, as in 80ms"
+    )
+    add_stack_arguments(parser.add_argument_group("a change to a running stack"))
+
+
+def run_link(arguments: argparse.Namespace) -> int:
+    """Change the link of a running stack, or play the study of a link."""
+    from shared.wire.operator import LINK_WORDS
+
+    from deploy.operate import send_link
+
+    change = getattr(arguments, "change", None) or arguments.network
+    if change in LINK_WORDS:
+        return send_link(change, arguments.value, arguments)
+    if arguments.value is not None:
+        arguments.parser.error(f"unrecognized arguments: {arguments.value}")
+    from experiments.link import run_link as run_study
+
+    return run_study(arguments)
+
+
 def commands() -> list[Subcommand | Group]:
     """Return every command and group of commands of `wbc`."""
     from benchmarks.__main__ import COMMANDS as BENCHMARKS
@@ -90,9 +131,13 @@ def commands() -> list[Subcommand | Group]:
     from shared.process.cli import Group, Subcommand
     from viewer.__main__ import COMMANDS as VIEWER
 
+    # The word after `link` decides between the command of `deploy` and that of `experiments`.
+    link = Subcommand(
+        "link", "change a running stack's link; or try controllers over a whole link", "remote_wbc"
+    )
     return [
-        *DEPLOY,
-        *EXPERIMENTS,
+        *(link if each.name == "link" else each for each in DEPLOY),
+        *(each for each in EXPERIMENTS if each.name != "link"),
         Group("netem", "the emulated link: profiles, importers, the shim", NETEM),
         Group("viewer", "watch a run, or look at finished runs", VIEWER),
         Group("bench", "speed and exactness on this machine", BENCHMARKS),

@@ -35,6 +35,7 @@ from shared.telemetry.parquet import read_parquet
 from shared.telemetry.row_log import read_rows
 from shared.telemetry.schema import SOLVE_SCHEMA, Schema
 from shared.wbc.qp import QpStatus
+from shared.wire.operator import EVENTS_FILE
 
 SUMMARY = "summary.json"
 STEMS = _ROBOT, _EDGE, _LINK = ("telemetry", "edge", "link")
@@ -105,7 +106,8 @@ def is_running(run: Path) -> bool:
 def set_aside(run: Path) -> None:
     """Move the files of an earlier run into the folder `previous`, in place of those there."""
     kept = [run / f"{name}.{kind}" for stem in STEMS for name in lives(run, stem) for kind in KINDS]
-    kept = [file for file in (*kept, run / SUMMARY, run / "recording.rrd") if file.exists()]
+    others = (run / SUMMARY, run / "recording.rrd", run / EVENTS_FILE)
+    kept = [file for file in (*kept, *others) if file.exists()]
     if not kept:
         return
     previous = run / "previous"

@@ -16,7 +16,7 @@ from typing import Any
 
 from deploy.background.control_server import ControlServer
 from deploy.background.detach import tell_ready
-from deploy.background.registry import Registry
+from deploy.background.registry import Registry, in_terminal
 from deploy.background.state import (
     ENDED,
     READY,
@@ -103,7 +103,9 @@ class StackRun:
             for line in (f"run folder: {self._out}", *self._run.plan.notes):
                 self._terminal.tell(line)
             self._telemetry = telemetry
-            hub = open_hub(telemetry, self._status, self._run.config.robot.name)
+            robot = self._run.config.robot.name
+            hub = open_hub(telemetry, self._status, robot, out=self._out)
+            self._put(STARTING, hub=telemetry)
             failure: LinkError | None = None
             code = EXIT_ERROR
             try:
@@ -140,12 +142,14 @@ class StackRun:
 
         In the background, also add the folder to the registry.
         """
-        with self._folder.claim(), LineFile(self._folder.log) as log:
+        background = self._run.ready_fd is not None
+        found = contextlib.nullcontext() if background else in_terminal(self._out)
+        with self._folder.claim(), LineFile(self._folder.log) as log, found:
             self._terminal = Terminal(copy=log)
             self._put(STARTING)
             ended = {"outcome": "an unexpected error ended it", "exit_code": EXIT_ERROR}
             try:
-                if self._run.ready_fd is not None:
+                if background:
                     Registry().add(self._out, robot=self._state.robot, services=self._state.named)
                 yield
                 ended = {}

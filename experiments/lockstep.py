@@ -11,15 +11,16 @@ from __future__ import annotations
 import heapq
 import itertools
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from edge_node.node import Answer, EdgeNode
-from netem.delay_line import DelayLine, Due, make_lines
-from netem.networks import load_network
+from netem.delay_line import DelayLine, Due, apply_to, make_lines
+from netem.networks import load_network, profile_of
 from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
 from netem.profile import Profile, profile_report
@@ -31,7 +32,7 @@ from shared.bus.base import Delivery, Inbox
 from shared.bus.memory import MemoryBus
 from shared.clock import SimClock
 from shared.config.settings import RunConfig
-from shared.errors import LinkError
+from shared.errors import ConfigError, LinkError
 from shared.motion.plan import MakeMotion, make_motion
 from shared.output.fall import torque_limits
 from shared.output.link_met import link_met
@@ -43,19 +44,21 @@ from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.codec import Codec
+from shared.wire.operator import Command, CommandEvent, LinkCommand, Reset
 
 _RANK_DELIVERY, _RANK_EDGE, _RANK_MEASURE, _RANK_COMMAND = range(4)
 
 
 @dataclass(frozen=True)
 class TrialResult:
-    """The summary of a trial and its telemetry rows."""
+    """The summary of a trial, its telemetry rows, and its commands with their times."""
 
     summary: dict[str, Any]
     schema: Schema
     rows: np.ndarray
     link_rows: np.ndarray
     solve_rows: np.ndarray
+    events: tuple[CommandEvent, ...] = ()
 
 
 class Lockstep:
@@ -64,6 +67,9 @@ class Lockstep:
     With `all_active_sets`, states that the edge did not solve are solved after the trial. They give
     the discrepancy of the active set at every tick, and change metrics only. `make_motion` and
     `make_controller` replace the task and the robot's controller that the configuration names.
+
+    `events` are commands of an operator, each for the first tick at or after its time. Simulated
+    time knows no pace, so that a pause is an event without an effect.
     """
 
     def __init__(
@@ -73,8 +79,11 @@ class Lockstep:
         all_active_sets: bool = True,
         make_motion: MakeMotion = make_motion,
         make_controller: MakeController = make_controller,
+        events: Iterable[CommandEvent] = (),
     ) -> None:
         self.config = config
+        self.done: list[CommandEvent] = []
+        self._coming = deque(sorted(events, key=lambda event: event.time_ns))
         self.clock = SimClock()
         robot = load_robot(config.robot.name)
         motion = make_motion(robot, config)
@@ -95,6 +104,7 @@ class Lockstep:
         self._profile: Profile | None = None
         self._lines: list[DelayLine[Delivery]] = []
         self._connect(robot.name)
+        self._profiles = [self._profile_of(event.command) for event in self._coming]
 
     def at(self, time_ns: int, rank: int, action: Callable[[], None]) -> None:
         """Schedule an action at a time [ns]; at equal times a lower rank runs first."""
@@ -106,12 +116,17 @@ class Lockstep:
         duration_ns = round(self.config.duration * 1e9)
         waiting_limit_ns = round(self.config.loop.connect_timeout * 1e9)
         self.at(0, _RANK_MEASURE, self._measure)
-        while self._events and self.robot.time_ns < duration_ns and not self.robot.fallen:
+        while self._events and self.robot.time_ns < duration_ns and self._goes_on:
             self.clock.time_ns, _, _, action = heapq.heappop(self._events)
             action()
             if not self.robot.running and self.clock.time_ns > waiting_limit_ns:
                 raise LinkError(self._why_not_begun())
         return self._result(wall_seconds=time.perf_counter() - started)
+
+    @property
+    def _goes_on(self) -> bool:
+        """Return whether the robot stands, or will be reset."""
+        return not self.robot.fallen or any(isinstance(e.command, Reset) for e in self._coming)
 
     def _connect(self, robot: str) -> None:
         near, far = MemoryBus(self.clock), MemoryBus(self.clock)
@@ -178,7 +193,32 @@ class Lockstep:
 
         self.at(self.clock.now_ns() + self.config.loop.edge_compute_ns, _RANK_EDGE, finish)
 
+    def _profile_of(self, command: Command) -> Profile | None:
+        """Return the profile that a command names. Raise `UserError` for one without effect."""
+        if not isinstance(command, LinkCommand):
+            return None
+        if not self._lines:
+            raise ConfigError(f"{command}: expected a link, got --network direct; try constant:0ms")
+        return profile_of(command)
+
+    def _carry_out(self, command: Command, profile: Profile | None) -> None:
+        """Carry out an operator's command before the next tick."""
+        if isinstance(command, LinkCommand):
+            apply_to(
+                self._lines,
+                command,
+                now_ns=self.clock.now_ns(),
+                profile=profile,
+                config=self.config.link,
+                seed=self.config.seed,
+            )
+        else:
+            self.robot.prepare(command)()
+        self.done.append(CommandEvent(self.robot.time_ns, command))
+
     def _measure(self) -> None:
+        while self._coming and self._coming[0].time_ns <= self.robot.time_ns:
+            self._carry_out(self._coming.popleft().command, self._profiles.pop(0))
         now_ns = self.clock.now_ns()
         data = self._tick.begin(now_ns)
         if self._all_active_sets:
@@ -208,6 +248,7 @@ class Lockstep:
             rows=rows,
             link_rows=link_rows,
             solve_rows=solve_rows,
+            events=tuple(self.done),
         )
 
     def _reports(self, *, wall_seconds: float) -> tuple[dict[str, Any], ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import sys
 import time
@@ -17,6 +18,7 @@ from shared.output.summary import summary_in_words
 from shared.process.cli import EXIT_FELL, EXIT_STANDING, add_run_arguments, config_from
 from shared.telemetry.parquet import write_parquet
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA
+from shared.wire.operator import EVENTS_FILE, CommandEvent, read_events, write_events
 
 # A shorter trial has no line of progress.
 _QUIET_SECONDS = 2.0
@@ -28,6 +30,14 @@ def add_trial_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json", metavar="FILE", help="write the summary as JSON; - prints it, and nothing else"
     )
+    parser.add_argument(
+        "--events",
+        metavar="RUN",
+        type=Path,
+        help="play a run again from its folder: its settings, and its commands at the times of "
+        "their effects; or FILE: commands for the run that the flags describe, one a line, as in "
+        "'2.5s link cut'",
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for the run's files")
     parser.add_argument(
         "--force", action="store_true", help="replace files that --out or --json have already"
@@ -36,14 +46,14 @@ def add_trial_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_trial(arguments: argparse.Namespace) -> int:
     """Play one trial. Return 0 if the robot stood, 3 if it fell."""
-    config = config_from(arguments)
+    config, events = _config_and_events(arguments)
     out: Path | None = arguments.out
     json_file = Path(arguments.json) if arguments.json not in (None, "-") else None
     _check_free(out, json_file, force=arguments.force)
     if out is not None:
         with writing(out, what="out"):
             out.mkdir(parents=True, exist_ok=True)
-    trial = Lockstep(config)
+    trial = Lockstep(config, events=events)
     begun = time.monotonic()
 
     def progress() -> str:
@@ -69,6 +79,36 @@ def run_trial(arguments: argparse.Namespace) -> int:
     return EXIT_FELL if result.summary["fell"] else EXIT_STANDING
 
 
+def _config_and_events(
+    arguments: argparse.Namespace,
+) -> tuple[RunConfig, tuple[CommandEvent, ...]]:
+    """Return the settings and the events that the arguments describe."""
+    given: Path | None = arguments.events
+    if given is None or not given.is_dir():
+        return config_from(arguments), () if given is None else read_events(given)
+    if arguments.config is not None:
+        raise ConfigError(f"events: {given} has settings of its own; leave --config out")
+    settings = given / "config.toml"
+    if not settings.is_file():
+        raise ConfigError(f"events: expected the folder of a run, {given} has no config.toml")
+    arguments.config = settings
+    config = config_from(arguments)
+    played = _task_seconds(given)
+    if played is not None and arguments.duration is None:
+        config = dataclasses.replace(config, duration=played)
+    file = given / EVENTS_FILE
+    return config, read_events(file) if file.exists() else ()
+
+
+def _task_seconds(run: Path) -> float | None:
+    """Return how long the task of a run lasted [s]; None if that is unknown, or it never began."""
+    try:
+        summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+        return float(summary["task_seconds"]) or None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
 def _check_free(out: Path | None, json_file: Path | None, *, force: bool) -> None:
     """Raise a `ConfigError` if files of another run would be replaced without --force."""
     if force:
@@ -91,3 +131,5 @@ def write_run(out: Path, config: RunConfig, result: TrialResult) -> None:
     write_parquet(result.schema, result.rows, out / "telemetry.parquet")
     write_parquet(LINK_SCHEMA, result.link_rows, out / "link.parquet")
     write_parquet(SOLVE_SCHEMA, result.solve_rows, out / "edge.parquet")
+    if result.events:
+        write_events(out / EVENTS_FILE, result.events)

@@ -3,7 +3,8 @@
 Each stack has a link to its run's folder. The link's name is `ROBOT.SERVICE+SERVICE`, and the next
 stack of the same name replaces it. The links are in `runs/.stacks` of the project's folder. All
 installations as a package share `remote-wbc/stacks` in the user's state folder ($XDG_STATE_HOME,
-~/.local/state).
+~/.local/state). Stacks that run in a terminal have links in the folder `.terminals` beside them,
+named by their process, for commands to a running stack.
 """
 
 from __future__ import annotations
@@ -26,6 +27,36 @@ def registry_folder() -> Path:
         return CHECKOUT / "runs" / ".stacks"
     state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(state) / "remote-wbc" / "stacks"
+
+
+@contextlib.contextmanager
+def in_terminal(run: Path) -> Iterator[None]:
+    """Let commands find a stack that runs in a terminal, if its link can be written."""
+    folder = _terminals()
+    link = folder / f"{os.getpid()}"
+    with contextlib.suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for old in folder.iterdir():
+            # A stack that was killed has left its link.
+            if not StackFolder(old.resolve()).alive:
+                old.unlink()
+        link.unlink(missing_ok=True)
+        link.symlink_to(run.resolve(), target_is_directory=True)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            link.unlink()
+
+
+def running_stacks(*, robot: str | None = None) -> list[tuple[StackFolder, StackState]]:
+    """Return all stacks that run, or all of one robot, in the background and in terminals."""
+    found = [*Registry().found(robot=robot), *Registry(_terminals()).found(robot=robot)]
+    return [each for each in found if each[0].alive]
+
+
+def _terminals() -> Path:
+    return registry_folder() / ".terminals"
 
 
 class Registry:

@@ -24,10 +24,11 @@ from pathlib import Path
 from deploy.console.status import Status
 from deploy.console.terminal import Terminal
 from deploy.outcome import STEMS, SUMMARY, is_running, set_aside, summarise
+from shared.bus.base import Delivery
 from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
 from shared.config.settings import RunConfig
-from shared.errors import LinkError, writing
+from shared.errors import LinkError, MessageRefused, writing
 from shared.output.summary import summary_in_words
 from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
 from shared.process.service import StopSignal
@@ -35,6 +36,7 @@ from shared.robots import load_robot
 from shared.telemetry.lives import lives
 from shared.telemetry.schema import tick_schema
 from shared.wire.channels import LINK_KEY, TICKS_KEY
+from shared.wire.operator import EVENTS_FILE, EVENTS_KEY, decode_event
 
 _SOCKET = "unixsock-stream/"
 # The system allows 107 characters. Zenoh adds a file with five more.
@@ -64,7 +66,7 @@ def main() -> int:
         _put_away(arguments.out, config)
     stop = StopSignal()
     status, terminal = status_of(config), Terminal()
-    hub = open_hub(arguments.listen, status, config.robot.name)
+    hub = open_hub(arguments.listen, status, config.robot.name, out=arguments.out)
     print(f"READY {arguments.listen}", flush=True)
     while not stop.requested:
         tell(status, terminal)
@@ -119,10 +121,11 @@ def private_socket(folder: Path) -> Iterator[str]:
         yield f"{_SOCKET}{temporary}/hub"
 
 
-def open_hub(endpoint: str, status: Status, robot: str) -> ZenohBus:
+def open_hub(endpoint: str, status: Status, robot: str, *, out: Path | None = None) -> ZenohBus:
     """Open the hub that the services of a run report to, a socket of this user alone.
 
-    `robot` is the kind of robot, not its name on the link.
+    `robot` is the kind of robot, not its name on the link. An operator's commands are added to
+    `events.txt` in the folder `out`.
     """
     file = Path(endpoint.removeprefix(_SOCKET))
     if str(file) == endpoint:
@@ -137,7 +140,17 @@ def open_hub(endpoint: str, status: Status, robot: str) -> ZenohBus:
         os.umask(before)
     hub.subscribe(TICKS_KEY.format(robot=robot), status.take_ticks)
     hub.subscribe(LINK_KEY, status.take_link)
+    if out is not None:
+        hub.subscribe(EVENTS_KEY, partial(_record, out / EVENTS_FILE))
     return hub
+
+
+def _record(file: Path, delivery: Delivery) -> None:
+    """Add an event to a file. If the disk is full, it is dropped."""
+    with contextlib.suppress(OSError, MessageRefused):
+        event, _ = decode_event(delivery.data)
+        with file.open("a", encoding="utf-8") as lines:
+            lines.write(f"{event}\n")
 
 
 def tell(status: Status, terminal: Terminal, *, degraded: Sequence[str] = ()) -> None:

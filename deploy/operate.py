@@ -1,0 +1,162 @@
+"""Commands to a running stack: push the robot, change its link, its controller or its pace.
+
+They go over the stack's telemetry hub, a socket of this user alone, and never over the link under
+test. The stack answers each with the time at which it takes effect, and records it in the run's
+folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from deploy.background.registry import running_stacks
+from deploy.background.state import StackFolder, StackState
+from deploy.plan import NETEM, ROBOT
+from shared.bus.security import robot_name
+from shared.commands import wbc
+from shared.config.extensions import CONTROLLERS
+from shared.errors import ConfigError, LinkError
+from shared.process.cli import EXIT_STANDING
+from shared.wire.operator import LINK_WORDS, Command, LinkCommand, parse_command
+
+_DIAL_SECONDS = 3.0
+
+
+def add_push_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("force", metavar="FORCE", help="as in 120N")
+    way = parser.add_mutually_exclusive_group(required=True)
+    way.add_argument(
+        "direction", metavar="DIRECTION", nargs="?", help="±x, ±y, ±z or ±x±y of the world"
+    )
+    for name in ("-x", "-y", "-z", "-x+y", "-x-y"):
+        # Otherwise argparse takes them for options that it does not know.
+        way.add_argument(
+            name, action="store_const", const=name, dest="direction", help=argparse.SUPPRESS
+        )
+    parser.add_argument("--for", dest="lasts", metavar="0.2s", default="0.2s", help="(0.2s)")
+    add_stack_arguments(parser)
+
+
+def run_push(arguments: argparse.Namespace) -> int:
+    """Push the robot's base."""
+    return _send(f"push {arguments.force} {arguments.direction} --for {arguments.lasts}", arguments)
+
+
+def add_link_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("change", metavar="CHANGE", help=f"one of {', '.join(LINK_WORDS)}")
+    parser.add_argument("value", metavar="VALUE", nargs="?", help="as in delay 80ms, loss 10%%")
+    add_stack_arguments(parser)
+
+
+def run_link(arguments: argparse.Namespace) -> int:
+    """Change the link."""
+    return send_link(arguments.change, arguments.value, arguments)
+
+
+def send_link(change: str, value: str | None, arguments: argparse.Namespace) -> int:
+    """Send a change of the link to the stack that the arguments select. Return 0."""
+    return _send(f"link {change} {value or ''}", arguments)
+
+
+def add_controller_arguments(parser: argparse.ArgumentParser) -> None:
+    names = ", ".join(CONTROLLERS.own)
+    parser.add_argument("controller", metavar="NAME", help=f"one of {names}, or your own")
+    add_stack_arguments(parser)
+
+
+def run_controller(arguments: argparse.Namespace) -> int:
+    """Change the robot's controller."""
+    return _send(f"controller {arguments.controller}", arguments)
+
+
+def add_step_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "ticks", metavar="TICKS", nargs="?", default="1", help="as in 10, or 20ms (1)"
+    )
+    add_stack_arguments(parser)
+
+
+def run_step(arguments: argparse.Namespace) -> int:
+    """Let simulated time go on for some ticks, and then stand still."""
+    return _send(f"step {arguments.ticks}", arguments)
+
+
+def add_speed_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("factor", metavar="FACTOR", help="× real time, 0.01 to 1")
+    add_stack_arguments(parser)
+
+
+def run_speed(arguments: argparse.Namespace) -> int:
+    """Slow simulated time down, or let it run in real time again."""
+    return _send(f"speed {arguments.factor}", arguments)
+
+
+def add_stack_arguments(parser: argparse._ActionsContainer) -> None:
+    """Add the options that select a running stack."""
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--name", type=robot_name, help="the stack of the robot with this name")
+    which.add_argument("--run", metavar="DIR", type=Path, help="the stack of this run's folder")
+
+
+add_pause_arguments = add_resume_arguments = add_reset_arguments = add_stack_arguments
+
+
+def run_pause(arguments: argparse.Namespace) -> int:
+    """Let simulated time stand still."""
+    return _send("pause", arguments)
+
+
+def run_resume(arguments: argparse.Namespace) -> int:
+    """Let simulated time go on."""
+    return _send("resume", arguments)
+
+
+def run_reset(arguments: argparse.Namespace) -> int:
+    """Let the robot stand as at the beginning of its task."""
+    return _send("reset", arguments)
+
+
+def _send(text: str, arguments: argparse.Namespace) -> int:
+    """Send a command to the stack that the arguments select, and print its answer. Return 0."""
+    command = parse_command(text)
+    hub = _stack_for(command, run=arguments.run, robot=arguments.name).hub
+    # Imported here: a command that is refused above needs no Zenoh.
+    from shared.bus.operator import CommandClient
+    from shared.bus.zenoh_bus import ZenohBus
+
+    bus = ZenohBus.dial(hub, within=_DIAL_SECONDS)
+    try:
+        answer = CommandClient(bus).send(command)
+    finally:
+        bus.close()
+    note = f"; {answer.note}" if answer.note else ""
+    print(f"{command}: from {answer.time_ns * 1e-9:.3f} s of the task on{note}")
+    return EXIT_STANDING
+
+
+def _stack_for(command: Command, *, run: Path | None, robot: str | None) -> StackState:
+    """Return the stack that a command is for; raise `ConfigError` if it is not one alone."""
+    if run is not None:
+        folder = StackFolder(run)
+        found = [(folder, folder.read())] if folder.alive else []
+    else:
+        found = running_stacks(robot=robot)
+    start = f"start one with {wbc('up')}"
+    if not found:
+        whose = f" in {run}" if run is not None else f" of {robot}" if robot is not None else ""
+        raise ConfigError(f"no stack{whose} runs; {start}")
+    service = NETEM if isinstance(command, LinkCommand) else ROBOT
+    having = [each for each in found if service in each[1].named]
+    if not having:
+        raise ConfigError(
+            f"{command}: expected a stack with {service}, "
+            f"{found[0][0].run} has {', '.join(found[0][1].named)}; {start}"
+        )
+    if len(having) > 1:
+        runs = ", ".join(str(stack.run) for stack, _ in having)
+        raise ConfigError(f"several stacks run: {runs}; select one with --name or --run")
+    state = having[0][1]
+    if not state.hub:
+        raise LinkError(f"{command}: the stack has not opened its hub yet; try again")
+    return state
