@@ -34,7 +34,7 @@ from robot_node.onboard import (
 )
 from robot_node.plan_anchor import PlanAnchor
 from robot_node.plant import Plant, make_plant
-from robot_node.safety import JointHold, TorqueGuard, TorqueRateLimiter, has_fallen
+from robot_node.safety import JointHold, TorqueGuard, TorqueRateLimiter
 from robot_node.sensor_guard import SensorGuard
 from robot_node.sensors import Sensors
 from robot_node.sent_states import SentStates
@@ -43,6 +43,7 @@ from shared.bus.base import Delivery, SenderCounter, new_session
 from shared.config.quantities import Push
 from shared.config.settings import RunConfig
 from shared.robots import Foot, Robot
+from shared.robots.fallen import has_fallen
 from shared.telemetry.schema import Schema, Source, tick_schema
 from shared.wbc.contacts import ContactMode
 from shared.wbc.limits import Limits

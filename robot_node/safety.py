@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pinocchio as pin
 
 from shared.robots import Foot, Robot
 from shared.wbc.finite import all_finite
 from shared.wbc.model import WholeBodyModel
-
-# A fallen robot: CoM below this fraction of its standing height, or the base tilted beyond this.
-FALLEN_COM_HEIGHT = 0.6
-FALLEN_TILT = 1.0
 
 # Joint hold: stiffness [1/rad] and damping [s/rad] per N m of the joint's effort limit, at most.
 _HOLD_STIFFNESS_PER_EFFORT = 20.0
@@ -154,13 +148,3 @@ def _free_inertia(robot: Robot) -> np.ndarray:
     M_inverse = pin.computeMinverse(robot.model, data, robot.q_standing)
     inertia: np.ndarray = 1.0 / np.diag(M_inverse)[6:]
     return inertia
-
-
-def has_fallen(q: np.ndarray, *, com_height: float, standing_com_height: float) -> bool:
-    """Return whether the robot at the true configuration q has fallen."""
-    x, y = q[3:5].tolist()
-    # The vertical in the base frame, of which this is the vertical part, from the quaternion.
-    upright = 1.0 - 2.0 * (x * x + y * y) > math.cos(FALLEN_TILT)
-    high = com_height > FALLEN_COM_HEIGHT * standing_com_height
-    # Written so that a state that is not a number counts as fallen.
-    return not (upright and high)

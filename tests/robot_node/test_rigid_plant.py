@@ -8,8 +8,8 @@ import pytest
 
 from robot_node.plant import MujocoPlant
 from robot_node.rigid_plant import RigidPlant
-from robot_node.safety import has_fallen
 from shared.robots import Foot
+from shared.robots.fallen import has_fallen
 from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import solve
 from shared.wbc.qp import DaqpSolver
