@@ -1,90 +1,104 @@
-"""The layout of the view: the robot on the left, the plots on the right.
+"""The layout of the view: the title, the robot on the left, the plots on the right.
 
-The user opens and arranges nothing by hand. The plots show, from the top: the link, the sources of
-the robot's commands, the errors, and the computing times. A recording shows its whole length; a
-live view follows the newest data and plots the last seconds.
+The user opens and arranges nothing by hand. The plots show, from the top: the link, the lanes of
+states, the errors, and the correction and computation. A plot has one line, or a line and a fainter
+one, which its title names; so no legend hides data. A recording shows its whole length; a live view
+follows the newest data and plots the last seconds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from shared.config.extensions import corrects
 from shared.config.settings import RunConfig
-from shared.robots import load_robot
+from viewer.camera import DEFAULT, eye_and_target
 from viewer.plots import (
-    ACTIVE_SET_HEIGHTS,
-    ACTIVE_SET_PATH,
+    LANES,
+    LINK_LANES,
     MAX_COM_ERROR_CM,
     MAX_CONTACT_VIOLATION,
+    SOURCE_LANE,
+    Lane,
 )
 from viewer.recorder import TIMELINE
-from viewer.track import SIDE_BY_SIDE
+from viewer.title import PATH as TITLE_PATH
 
 LIVE_WINDOW = 20.0  # seconds
-_COM_ERROR = f"CoM error [cm], at most {MAX_COM_ERROR_CM:g} drawn"
-_CONTACT_VIOLATION = f"Contact violation [m/s²], at most {MAX_CONTACT_VIOLATION:g}"
-_LEFT, _RIGHT = rrb.Corner2D.LeftTop, rrb.Corner2D.RightTop
-# The camera shows at most this part of the way of a walk, to either side of its target [m].
-_LOOK_AHEAD = 1.5
-# The height of a humanoid over that of its base, and its width with its arms over its height.
-_HEIGHT, _WIDTH = 1.75, 0.6
+# The entity that the camera follows.
+FOLLOWED = "world/focus"
+_COM_ERROR = f"CoM error [cm], up to {MAX_COM_ERROR_CM:g}"
+_CONTACT_VIOLATION = f"Contact violation [m/s²], up to {MAX_CONTACT_VIOLATION:g}"
+_TITLE_SHARE = 0.06
 
 
-def layout(config: RunConfig, *, live: bool, picture: bool = False) -> rrb.Blueprint:
-    """Return the blueprint of a live view, of a finished recording, or of a picture of one."""
-    correction = _plot("Correction (LC)", "plots/correction", legend=_LEFT, live=live)
-    corrected = corrects(config.controller)
+@dataclass(frozen=True)
+class Picture:
+    """The parts of a picture: the camera by its name, and whether it shows the scene alone."""
+
+    camera: str = DEFAULT
+    scene_only: bool = False
+
+
+def layout(
+    config: RunConfig, *, duration: float | None, picture: Picture | None = None
+) -> rrb.Blueprint:
+    """Return the blueprint of a finished run of `duration` [s], or of a live one (None)."""
+    live = duration is None
+    details = [
+        ("Robot tick [ms], ×: overrun", "plots/compute/tick"),
+        ("Edge solve [ms]", "plots/compute/solve"),
+    ]
+    if corrects(config.controller):
+        details = [
+            ("Contraction", "plots/correction/contraction"),
+            ("Staleness [rad]", "plots/correction/staleness"),
+            *details,
+        ]
+    span = _recent() if duration is None else _whole(duration)
     return _blueprint(
-        _robot_view([config]),
+        [config],
         rrb.Vertical(
             rrb.Horizontal(
-                _plot("Link delay [ms]", "plots/delay", legend=_RIGHT, live=live),
-                _plot("Projector age [ms]", "plots/projector_age", live=live),
+                _plot("Uplink delay [ms], ×: lost", "plots/delay/uplink", span),
+                _plot("Downlink delay [ms], ×: lost", "plots/delay/downlink", span),
+                _plot("Age of the answer in use [ms]", "plots/projector_age", span),
             ),
-            _lanes(),
+            _lanes(LANES, span),
             rrb.Horizontal(
-                _plot(_COM_ERROR, "plots/com_error", live=live),
-                _plot(_CONTACT_VIOLATION, "plots/contact_violation", live=live),
+                _plot(_COM_ERROR, "plots/com_error", span),
+                _plot(_CONTACT_VIOLATION, "plots/contact_violation", span),
+                rrb.Tabs(*(_plot(name, path, span) for name, path in details)),
             ),
-            rrb.Horizontal(
-                _plot(
-                    "Active set",
-                    ACTIVE_SET_PATH,
-                    live=live,
-                    heights=(-1.0, float(ACTIVE_SET_HEIGHTS[-1]) + 1.0),
-                ),
-                *([correction] if corrected else []),
-                _plot("Computation [ms]", "plots/compute", legend=_RIGHT, live=live),
-                column_shares=[0.8, 1.0, 1.1] if corrected else None,
-            ),
-            # With these shares, all lanes fit the screen of a small laptop.
-            row_shares=[2.4, 3.4, 2.4, 2.4],
+            row_shares=_row_shares(len(LANES)),
         ),
         live=live,
         picture=picture,
     )
 
 
-def compared_layout(configs: Sequence[RunConfig], *, picture: bool = False) -> rrb.Blueprint:
+def compared_layout(
+    configs: Sequence[RunConfig], *, duration: float, picture: Picture | None = None
+) -> rrb.Blueprint:
     """Return the blueprint of several finished runs: robots side by side, lines in one plot."""
+    span = _whole(duration)
     return _blueprint(
-        _robot_view(configs),
+        configs,
         rrb.Vertical(
             rrb.Horizontal(
-                _plot("Link delay [ms]", "plots/delay", legend=_RIGHT),
-                _plot("Projector age [ms]", "plots/projector_age", legend=_RIGHT),
+                _plot("Uplink delay [ms], ×: lost", "plots/delay/uplink", span),
+                _plot("Age of the answer in use [ms]", "plots/projector_age", span),
             ),
-            _lanes("lanes/command", "lanes/uplink"),
+            _lanes((LINK_LANES[0], SOURCE_LANE), span),
             rrb.Horizontal(
-                _plot(_COM_ERROR, "plots/com_error", legend=_RIGHT),
-                _plot(_CONTACT_VIOLATION, "plots/contact_violation", legend=_RIGHT),
+                _plot(_COM_ERROR, "plots/com_error", span),
+                _plot(_CONTACT_VIOLATION, "plots/contact_violation", span),
             ),
-            row_shares=[3.0, 0.8 + 1.05 * len(configs), 3.0],
+            row_shares=_row_shares(2 * len(configs)),
         ),
         live=False,
         picture=picture,
@@ -92,15 +106,24 @@ def compared_layout(configs: Sequence[RunConfig], *, picture: bool = False) -> r
 
 
 def _blueprint(
-    robots: rrb.Spatial3DView, plots: rrb.Vertical, *, live: bool, picture: bool
+    configs: Sequence[RunConfig],
+    plots: rrb.Vertical,
+    *,
+    live: bool,
+    picture: Picture | None,
 ) -> rrb.Blueprint:
+    shown = Picture() if picture is None else picture
+    robots = _robot_view(configs, camera=shown.camera)
+    title = rrb.TextDocumentView(origin=TITLE_PATH, name="Run", titlebar=False)
+    panel = rrb.PanelState.Collapsed if picture is None else rrb.PanelState.Hidden
+    body = rrb.Horizontal(robots, plots, column_shares=[1, 1.5 if len(configs) == 1 else 1.15])
     return rrb.Blueprint(
-        rrb.Horizontal(robots, plots, column_shares=[1, 1.15]),
-        *([rrb.TopPanel(state="hidden")] if picture else []),
-        rrb.BlueprintPanel(state="hidden" if picture else "collapsed"),
-        rrb.SelectionPanel(state="hidden" if picture else "collapsed"),
+        robots if shown.scene_only else rrb.Vertical(title, body, row_shares=[_TITLE_SHARE, 1]),
+        *([] if picture is None else [rrb.TopPanel(state="hidden")]),
+        rrb.BlueprintPanel(state=panel),
+        rrb.SelectionPanel(state=panel),
         rrb.TimePanel(
-            state="collapsed",
+            state="hidden" if shown.scene_only else "collapsed",
             timeline=TIMELINE,
             play_state="paused" if picture else "following" if live else "playing",
         ),
@@ -109,73 +132,61 @@ def _blueprint(
     )
 
 
-def camera(configs: Sequence[RunConfig]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the camera's position and target, each (3,) [m, world], for robots side by side.
-
-    The camera stands in front of the robots, a little to their right, and shows all of them. It
-    shows the whole way of a walk, or the beginning of a long one.
-    """
-    height = _HEIGHT * max(load_robot(each.robot.name).q_standing[2] for each in configs)
-    width = _WIDTH * height + (len(configs) - 1) * SIDE_BY_SIDE
-    ahead = max((_half_way(each) for each in configs), key=abs)
-    distance = max(1.35 * height, 1.2 * width) + 0.9 * abs(ahead)
-    towards = np.array([1.95, -0.85 / len(configs), 0.55])
-    target = np.array([ahead, 0.0, 0.41 * height])
-    eye = target + distance * towards / np.linalg.norm(towards) + [0.0, 0.0, abs(ahead)]
-    return eye, target
-
-
-def _half_way(config: RunConfig) -> float:
-    """Return the distance to the middle of a walk, or of the beginning of a long one [m]."""
-    if config.task != "walk":
-        return 0.0
-    half = config.walk.steps * config.walk.step_length / 2
-    return max(-_LOOK_AHEAD, min(half, _LOOK_AHEAD))
-
-
-def _robot_view(configs: Sequence[RunConfig]) -> rrb.Spatial3DView:
-    eye, target = camera(configs)
+def _robot_view(configs: Sequence[RunConfig], *, camera: str) -> rrb.Spatial3DView:
+    eye, target = eye_and_target(configs, name=camera)
     return rrb.Spatial3DView(
         origin="world",
         name="Robot",
+        titlebar=False,
         background=rrb.Background(color=(28, 30, 34)),
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.25, color=(120, 125, 135, 90)),
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
+        eye_controls=rrb.EyeControls3D(
+            position=eye,
+            look_target=target,
+            eye_up=(0, 0, 1),
+            tracking_entity=FOLLOWED if len(configs) == 1 else None,
+        ),
     )
 
 
-def _lanes(*paths: str) -> rrb.StateTimelineView:
-    contents = [f"/{path}/**" for path in paths] if paths else "$origin/**"
+def _lanes(lanes: Sequence[Lane], span: rr.TimeRange) -> rrb.StateTimelineView:
     return rrb.StateTimelineView(
-        origin="lanes",
-        contents=contents,
-        name="Command from, contact, link",
-        time_view=rrb.TimeAxis(link="LinkToGlobal"),
+        origin="/",
+        contents=[f"/{lane.path}/**" for lane in lanes],
+        name="Link, command, contact, limits",
+        time_view=rrb.TimeAxis(view_range=span),
     )
 
 
-def _plot(
-    name: str,
-    path: str,
-    *,
-    legend: rrb.Corner2D | None = None,
-    live: bool = False,
-    heights: tuple[float, float] | None = None,
-) -> rrb.TimeSeriesView:
-    window = rrb.VisibleTimeRanges(timeline=TIMELINE, range=_recent())
+def _row_shares(lanes: int) -> list[float]:
+    """Return the heights of the plots, the lanes and the plots below.
+
+    With these, all lanes fit the screen of a small laptop.
+    """
+    return [2.4, 0.5 + 0.37 * lanes, 2.4]
+
+
+def _plot(name: str, path: str, span: rr.TimeRange) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         origin=path,
         name=name,
-        plot_legend=rrb.PlotLegend(corner=legend, visible=legend is not None),
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        axis_y=None if heights is None else rrb.ScalarAxis(range=heights),
-        time_ranges=window if live else None,
+        plot_legend=rrb.PlotLegend(visible=False),
+        axis_x=rrb.TimeAxis(view_range=span),
+        time_ranges=rrb.VisibleTimeRanges(timeline=TIMELINE, range=span),
+    )
+
+
+def _whole(duration: float) -> rr.TimeRange:
+    """Return the range of a whole run [s]."""
+    return rr.TimeRange(
+        start=rr.TimeRangeBoundary.absolute(seconds=0.0),
+        end=rr.TimeRangeBoundary.absolute(seconds=duration),
     )
 
 
 def _recent() -> rr.TimeRange:
-    """Return the range from `LIVE_WINDOW` before the cursor on. A live run has no later data."""
+    """Return the range of the last `LIVE_WINDOW` before the cursor."""
     return rr.TimeRange(
         start=rr.TimeRangeBoundary.cursor_relative(seconds=-LIVE_WINDOW),
-        end=rr.TimeRangeBoundary.infinite(),
+        end=rr.TimeRangeBoundary.cursor_relative(seconds=0.0),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import os
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -14,11 +15,15 @@ from shared.config.config_file import load_config
 from shared.errors import UserError
 from shared.process.cli import EXIT_STANDING
 from shared.process.service import StopSignal, add_held_argument, wait_while_held
+from viewer.blueprint import Picture
+from viewer.camera import CAMERAS, DEFAULT
 from viewer.display import VIEWS
 from viewer.live import watch
 from viewer.recording import record
 from viewer.show import show
-from viewer.snapshot import ANIMATIONS, animation, picture
+from viewer.snapshot import ANIMATION_WIDTH, ANIMATIONS, SIZE, animation, picture
+
+_LEAST_SIZE, _LARGEST_SIZE = 200, 4096
 
 
 def add_live_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,6 +85,21 @@ def add_snapshot_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"file for an animation, {' or '.join(ANIMATIONS)}",
     )
     parser.add_argument(
+        "--size",
+        metavar="WIDTHxHEIGHT",
+        help=f"size in pixels (default {SIZE[0]}x{SIZE[1]}); a gif or webp is "
+        f"{ANIMATION_WIDTH} wide",
+    )
+    parser.add_argument(
+        "--camera",
+        choices=CAMERAS,
+        default=DEFAULT,
+        help="side from which the robot is seen (default %(default)s)",
+    )
+    parser.add_argument(
+        "--scene-only", action="store_true", help="the robot alone, without title and plots"
+    )
+    parser.add_argument(
         "--span", metavar="FROM:TO", help="span of the animation [s] (default: the whole run)"
     )
     parser.add_argument(
@@ -136,14 +156,36 @@ run_compare = run_open
 def run_snapshot(arguments: argparse.Namespace) -> int:
     if arguments.out is None and arguments.animation is None:
         raise UserError("snapshot: expected --out FILE.png or --animation FILE.gif, got neither")
+    size = SIZE if arguments.size is None else _size(arguments.size)
+    shown = Picture(arguments.camera, scene_only=arguments.scene_only)
     if arguments.out is not None:
-        picture(arguments.runs, arguments.out, at=arguments.at)
+        picture(arguments.runs, arguments.out, at=arguments.at, size=size, shown=shown)
         _say(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB")
     if arguments.animation is not None:
         begin, end = _span(arguments.span)
-        animation(arguments.runs, arguments.animation, begin=begin, end=end, speed=arguments.speed)
+        animation(
+            arguments.runs,
+            arguments.animation,
+            begin=begin,
+            end=end,
+            speed=arguments.speed,
+            size=size,
+            shown=shown,
+        )
         _say(f"{arguments.animation}: {arguments.animation.stat().st_size / 1e6:.2f} MB")
     return EXIT_STANDING
+
+
+def _size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)[x×](\d+)", text)
+    if match is not None:
+        width, height = int(match[1]), int(match[2])
+        if all(_LEAST_SIZE <= length <= _LARGEST_SIZE for length in (width, height)):
+            return width, height
+    raise UserError(
+        f"--size: expected WIDTHxHEIGHT in pixels, each {_LEAST_SIZE} to {_LARGEST_SIZE}, as in "
+        f"1600x960, got {text!r}"
+    )
 
 
 def _span(text: str | None) -> tuple[float, float | None]:

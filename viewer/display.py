@@ -29,7 +29,10 @@ SETTLE = 1.0
 
 
 class Display:
-    """The sinks of one live recording, and the child process that shows it."""
+    """The sinks of one live recording, and the child process that shows it.
+
+    `state` names the sinks in words. `address` is the page for a browser, or empty.
+    """
 
     def __init__(
         self,
@@ -38,18 +41,25 @@ class Display:
         *,
         blueprint: rrb.Blueprint,
         file: Path | None,
+        newest_first: bool = False,
     ) -> None:
-        """Open the sinks for `view` (one of `VIEWS`) and `file`; `UserError` if one fails."""
+        """Open the sinks for `view` (one of `VIEWS`) and `file`; `UserError` if one fails.
+
+        With `newest_first`, a view that is opened late shows the newest data at once.
+        """
         if view == "record" and file is None:
             raise UserError("--view record: expected --out DIR for the recording, got none")
-        self.address = f"recording to {file}"
+        self.state = f"recording to {file}"
+        self.address = ""
         self._recording = recording
         self._child: RerunProcess | None = None
         sinks: list[rr.FileSink | rr.GrpcServerSink] = []
         if file is not None:
             sinks.append(rr.FileSink(_writable(file)))
         if view != "record":
-            server = rr.GrpcServerSink(HOST, free_port(), server_memory_limit=SERVER_MEMORY)
+            server = rr.GrpcServerSink(
+                HOST, free_port(), server_memory_limit=SERVER_MEMORY, newest_first=newest_first
+            )
             sinks.append(server)
         recording.set_sinks(*sinks, default_blueprint=blueprint)
         if view == "native":
@@ -72,13 +82,14 @@ class Display:
         port = str(free_port())
         arguments = ("--port", port, "--memory-limit", WINDOW_MEMORY, "--hide-welcome-screen", uri)
         self._open("the window", arguments, lambda started: time.monotonic() - started > SETTLE)
-        self.address = "window opened"
+        self.state = "window opened"
 
     def _open_web(self, uri: str) -> None:
         port = free_port(WEB_PORT)
         arguments = ("--serve-web", "--web-viewer-port", str(port), uri)
         self._open("the web viewer", arguments, lambda started: _answers(port))
-        self.address = f"open http://{HOST}:{port}/?url={urllib.parse.quote(uri, safe='')}"
+        self.state = "in a browser, at the address below"
+        self.address = f"http://{HOST}:{port}/?url={urllib.parse.quote(uri, safe='')}"
 
     def _open(self, what: str, arguments: tuple[str, ...], ready: Callable[[float], bool]) -> None:
         """Start the child and wait until it shows the recording; `UserError` if it does not."""

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import rerun as rr
 
 from shared.config.settings import RunConfig
 from shared.robots import Robot, load_robot
@@ -23,6 +24,7 @@ from viewer.intake import BlockQueue, connect, subscribe
 from viewer.meshes import load_meshes
 from viewer.recording import new_recording
 from viewer.scene import Scene
+from viewer.title import log_title, title
 
 # The view yields to the control loops on the same machine.
 NICENESS = 10
@@ -52,15 +54,20 @@ def watch(
     recording = new_recording(f"{robot.name}, live")
     file = out / "recording.rrd" if out is not None else None
     # Before the bus: its threads must not be forked into the display's child process.
-    display = Display(recording, view, blueprint=layout(config, live=True), file=file)
+    display = Display(
+        recording, view, blueprint=layout(config, duration=None), file=file, newest_first=True
+    )
     bus = None
-    drawn = _Drawn(Scene(recording, robot, config, meshes=meshes), robot, say)
+    scene = Scene(recording, robot, config, meshes=meshes)
+    drawn = _Drawn(recording, scene, robot, config, say)
     try:
         bus = connect(telemetry, stopped=stopped)
         if bus is None:
             return
         subscribe(bus, blocks, robot=robot.name)
-        say(f"READY {display.address}")
+        say(f"READY {display.state}")
+        if display.address:
+            say(display.address)
         shown = view != "record"
         while not stopped():
             time.sleep(DRAW_PERIOD)
@@ -85,15 +92,25 @@ def watch(
 class _Drawn:
     """The scene, and counts of the rows drawn, the blocks refused and the ticks missing."""
 
-    def __init__(self, scene: Scene, robot: Robot, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        recording: rr.RecordingStream,
+        scene: Scene,
+        robot: Robot,
+        config: RunConfig,
+        say: Callable[[str], None],
+    ) -> None:
         ticks = tick_schema(nq=robot.model.nq, nv=robot.model.nv)
         self._schemas = (ticks, LINK_SCHEMA, SOLVE_SCHEMA)
         self.rows = 0
         self.refused = 0
         self.missing = 0
         self._next_tick: int | None = None
+        self._recording = recording
         self._scene = scene
+        self._config = config
         self._say = say
+        self._verdict = ""
 
     def add(self, blocks: list[bytes]) -> None:
         for block in blocks:
@@ -107,6 +124,9 @@ class _Drawn:
                     self._say(f"a block cannot be drawn: {error}")
                 self.refused += 1
         self._scene.look_for_silence(patience_ns=PATIENCE_NS)
+        if self._scene.verdict != self._verdict:
+            self._verdict = self._scene.verdict
+            log_title(self._recording, title(self._config, self._verdict))
 
     def _count(self, schema: Schema, rows: np.ndarray) -> None:
         """Count rows and missing ticks. A gap is a block lost or dropped by the queue."""

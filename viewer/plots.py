@@ -13,19 +13,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.robots import Foot
-from shared.telemetry.outages import OUTAGE, PASSING, SILENT
 from shared.telemetry.schema import Schema, Source
-from shared.wbc.contacts import ROWS_PER_FOOT, ROWS_PER_POINT, ContactMode
-from viewer.track import Colour
+from shared.wbc.contacts import ContactMode
+from viewer.colours import (
+    COM,
+    FALLEN,
+    LIMIT,
+    LINE,
+    LINK_STATES,
+    MODES,
+    SECOND_LINE,
+    SOURCES,
+    Colour,
+)
+from viewer.soles import SOLE_STATES
 
 BUCKET_NS = 10_000_000
 # In a fall both grow without bound and mean nothing. The plot should show the time before.
 MAX_COM_ERROR_CM = 30.0
 MAX_CONTACT_VIOLATION = 5.0  # m/s²
-
-BLUE, ORANGE, GREEN, RED = (76, 142, 247), (255, 158, 44), (64, 191, 128), (235, 72, 72)
-PURPLE, GREY, YELLOW = (178, 122, 240), (140, 148, 160), (250, 214, 80)
-CYAN = (72, 202, 228)
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,6 @@ class LinkSeries:
     name: str
     path: str
     lost_path: str
-    colour: Colour
 
 
 @dataclass(frozen=True)
@@ -58,64 +63,19 @@ class Lane:
 
 
 LINKS = (
-    LinkSeries(0, "uplink", "plots/delay/uplink", "plots/delay/uplink_lost", BLUE),
-    LinkSeries(1, "downlink", "plots/delay/downlink", "plots/delay/downlink_lost", GREEN),
+    LinkSeries(0, "uplink", "plots/delay/uplink", "plots/delay/uplink/lost"),
+    LinkSeries(1, "downlink", "plots/delay/downlink", "plots/delay/downlink/lost"),
 )
-_LINK_STATES: dict[str, Colour] = {PASSING: (38, 70, 54), OUTAGE: RED, SILENT: (70, 74, 82)}
-LINK_LANES = (Lane("lanes/uplink", _LINK_STATES), Lane("lanes/downlink", _LINK_STATES))
-_SOURCE_COLOURS: dict[Source, Colour] = {
-    Source.FRESH: GREEN,
-    Source.CACHED: BLUE,
-    Source.HELD: RED,
-    Source.ON_BOARD: PURPLE,
-    Source.CORRECTED: (52, 128, 140),
-    Source.STOPPING: ORANGE,
-}
-SOURCE_LANE = Lane("lanes/command", {each.label: _SOURCE_COLOURS[each] for each in Source})
-_MODE_COLOURS: dict[ContactMode, Colour] = {
-    ContactMode.DOUBLE_SUPPORT: GREY,
-    ContactMode.LEFT_SUPPORT: (176, 120, 48),
-    ContactMode.RIGHT_SUPPORT: CYAN,
-}
-MODE_LANE = Lane("lanes/contact", {each.label: _MODE_COLOURS[each] for each in ContactMode})
-
-OVERRUN_PATH = "plots/compute/overrun"
-ACTIVE_SET_PATH = "plots/active_set"
-N_ACTIVE_ROWS = len(Foot) * ROWS_PER_FOOT
-# Empty rows between the two feet.
-_FEET_APART = 3
-ACTIVE_SET_HEIGHTS = np.arange(N_ACTIVE_ROWS) + _FEET_APART * (
-    np.arange(N_ACTIVE_ROWS) // ROWS_PER_FOOT
+# A lane is drawn under its path, in the order of the paths.
+LINK_LANES = (Lane("link/uplink", LINK_STATES), Lane("link/downlink", LINK_STATES))
+SOURCE_LANE = Lane(
+    "robot/command", {each.label: SOURCES[each] for each in Source} | {FALLEN: LIMIT}
 )
-_ROW_KINDS = ("friction +x", "friction -x", "friction +y", "friction -y", "least normal force")
-ACTIVE_SET_NAMES = tuple(
-    f"{foot.value} foot, point {1 + row // ROWS_PER_POINT}: {_ROW_KINDS[row % ROWS_PER_POINT]}"
-    for foot in Foot
-    for row in range(ROWS_PER_FOOT)
-)
-ACTIVE_SET_COLOURS = tuple(
-    GREY if row % ROWS_PER_POINT == ROWS_PER_POINT - 1 else RED for row in range(N_ACTIVE_ROWS)
-)
+MODE_LANE = Lane("robot/planned_contact", {each.label: MODES[each] for each in ContactMode})
+SOLE_LANES = tuple(Lane(f"soles_at_a_limit/{foot.value}_foot", SOLE_STATES) for foot in Foot)
+LANES = (*LINK_LANES, SOURCE_LANE, MODE_LANE, *SOLE_LANES)
 
-
-def active_rows(time_ns: np.ndarray, active_set: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the raster's bars: instants [ns], and heights (n, 40), NaN if a row is not active.
-
-    `active_set` holds bit masks, negative for none. A row is drawn in a bucket if it is active in
-    any of the bucket's ticks, so that one tick is never hidden. A span with one mask is given by
-    its two ends.
-    """
-    if not len(time_ns):
-        return np.zeros(0, dtype=np.int64), np.zeros((0, N_ACTIVE_ROWS))
-    bucket = time_ns // BUCKET_NS
-    first = np.flatnonzero(np.append(True, np.diff(bucket) != 0))
-    masks = np.bitwise_or.reduceat(np.maximum(active_set.astype(np.int64), 0), first)
-    begins = np.flatnonzero(np.append(True, np.diff(masks) != 0))
-    starts = time_ns[first][begins]
-    ends = np.append(starts[1:], time_ns[-1] + 1) - 1
-    active = masks[begins, None] >> np.arange(N_ACTIVE_ROWS) & 1
-    heights = np.where(active, ACTIVE_SET_HEIGHTS, np.nan)
-    return np.column_stack([starts, ends]).ravel(), np.repeat(heights, 2, axis=0)
+OVERRUN_PATH = "plots/compute/tick/overrun"
 
 
 def milliseconds(nanoseconds: np.ndarray) -> np.ndarray:
@@ -126,14 +86,14 @@ def milliseconds(nanoseconds: np.ndarray) -> np.ndarray:
 TICK_SERIES = (
     Series(
         path="plots/projector_age",
-        names=("projector age",),
-        colours=(PURPLE,),
+        names=("age",),
+        colours=(LINE,),
         values=lambda schema, rows: milliseconds(schema.column(rows, "projector_age_ns"))[:, None],
     ),
     Series(
         path="plots/com_error",
         names=("CoM error",),
-        colours=(ORANGE,),
+        colours=(COM,),
         values=lambda schema, rows: np.minimum(
             100.0 * schema.column(rows, "com_error_m")[:, None], MAX_COM_ERROR_CM
         ),
@@ -141,23 +101,27 @@ TICK_SERIES = (
     Series(
         path="plots/contact_violation",
         names=("contact violation",),
-        colours=(RED,),
+        colours=(LINE,),
         values=lambda schema, rows: np.minimum(
             schema.column(rows, "contact_violation_m_s2")[:, None], MAX_CONTACT_VIOLATION
         ),
     ),
     Series(
-        path="plots/correction",
-        names=("contraction", "staleness [rad]"),
-        colours=(YELLOW, GREEN),
-        values=lambda schema, rows: np.column_stack(
-            [schema.column(rows, name) for name in ("contraction", "staleness_rad")]
-        ),
+        path="plots/correction/contraction",
+        names=("contraction",),
+        colours=(LINE,),
+        values=lambda schema, rows: schema.column(rows, "contraction")[:, None],
+    ),
+    Series(
+        path="plots/correction/staleness",
+        names=("staleness",),
+        colours=(LINE,),
+        values=lambda schema, rows: schema.column(rows, "staleness_rad")[:, None],
     ),
     Series(
         path="plots/compute/tick",
-        names=("robot tick", "tick late by"),
-        colours=(BLUE, RED),
+        names=("computation", "lateness"),
+        colours=(LINE, SECOND_LINE),
         values=lambda schema, rows: np.column_stack(
             [milliseconds(schema.column(rows, name)) for name in ("tick_ns", "late_ns")]
         ),
@@ -167,7 +131,7 @@ TICK_SERIES = (
 SOLVE_SERIES = Series(
     path="plots/compute/solve",
     names=("edge solve",),
-    colours=(GREEN,),
+    colours=(LINE,),
     values=lambda schema, rows: milliseconds(schema.column(rows, "solve_ns"))[:, None],
 )
 

@@ -11,6 +11,8 @@ from viewer.track import Track
 
 TIMELINE = "task_time"
 WALL_TIMELINE = "wall_time"
+# The index of no state, which a lane shows as a gap.
+NO_STATE = -1
 
 
 class Recorder:
@@ -49,7 +51,7 @@ class Recorder:
         """Send the changes of a lane from its state in each row (n,), an index into `names`."""
         if not len(values):
             return
-        before = np.append(self._states.get(path, values[0] - 1), values[:-1])
+        before = np.append(self._states.get(path, values[0] + 1), values[:-1])
         self._states[path] = int(values[-1])
         changed = np.flatnonzero(values != before)
         self.states(path, instants[changed], [_named(names, int(values[k])) for k in changed])
@@ -62,4 +64,6 @@ class Recorder:
 
 def _named(names: list[str], index: int) -> str:
     """Return the name of a state, or its number if this viewer knows no name for it."""
+    if index == NO_STATE:
+        return ""
     return names[index] if 0 <= index < len(names) else f"number {index}"

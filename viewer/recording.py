@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,20 +13,18 @@ from uuid import uuid4
 import rerun as rr
 import rerun.blueprint as rrb
 
-from shared.config.extensions import CONTROLLERS
 from shared.errors import UserError
 from shared.robots import load_robot
 from shared.telemetry.outages import OUTAGE_NS
-from viewer.blueprint import compared_layout, layout
+from viewer.blueprint import Picture, compared_layout, layout
+from viewer.colours import RUNS
 from viewer.meshes import load_meshes
-from viewer.plots import BLUE, GREEN, ORANGE, PURPLE, RED, YELLOW
 from viewer.run_folder import RunFolder, read_run
 from viewer.scene import Scene
+from viewer.title import compared_names, compared_title, log_title, title
 from viewer.track import SIDE_BY_SIDE, Track
 
 APPLICATION = "remote-wbc"
-# The colours of compared runs, in their order.
-RUN_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, YELLOW, RED)
 
 
 @dataclass(frozen=True)
@@ -54,10 +51,10 @@ def record(path: Path) -> Recorded:
     return Recorded(file, run.rows, file.stat().st_size)
 
 
-def save(runs: Sequence[RunFolder], file: Path, *, picture: bool = False) -> None:
+def save(runs: Sequence[RunFolder], file: Path, *, picture: Picture | None = None) -> None:
     """Write a recording of `runs`; raise `UserError` and leave no file if that fails."""
     partial = file.with_name(f"{file.name}.partial")
-    recording = new_recording(title(runs))
+    recording = new_recording(" and ".join(run_names(runs)))
     try:
         recording.save(partial, default_blueprint=blueprint(runs, picture=picture))
         log_runs(recording, runs)
@@ -70,63 +67,64 @@ def save(runs: Sequence[RunFolder], file: Path, *, picture: bool = False) -> Non
         partial.unlink(missing_ok=True)
 
 
-def title(runs: Sequence[RunFolder]) -> str:
-    """Return the name of the recording."""
-    return " and ".join(run.name for run in runs)
-
-
-def blueprint(runs: Sequence[RunFolder], *, picture: bool = False) -> rrb.Blueprint:
-    """Return the layout for one run, or for several."""
+def run_names(runs: Sequence[RunFolder]) -> list[str]:
+    """Return the name of the run, or names of several by what differs between them."""
     if len(runs) == 1:
-        return layout(runs[0].config, live=False, picture=picture)
-    return compared_layout([run.config for run in runs], picture=picture)
+        return [runs[0].name]
+    return compared_names([run.config for run in runs], [run.path for run in runs])
+
+
+def blueprint(runs: Sequence[RunFolder], *, picture: Picture | None = None) -> rrb.Blueprint:
+    """Return the layout for one run, or for several."""
+    duration = max(run.duration for run in runs)
+    if len(runs) == 1:
+        return layout(runs[0].config, duration=duration, picture=picture)
+    return compared_layout([run.config for run in runs], duration=duration, picture=picture)
 
 
 def log_runs(recording: rr.RecordingStream, runs: Sequence[RunFolder]) -> None:
     """Draw all runs, side by side from right to left."""
-    tracks = [Track()] if len(runs) == 1 else _tracks(runs)
+    names = run_names(runs)
+    tracks = [Track()] if len(runs) == 1 else _tracks(runs, names)
+    verdicts = []
     for run, track in zip(runs, tracks, strict=True):
         robot = load_robot(run.config.robot.name)
         scene = Scene(recording, robot, run.config, meshes=load_meshes(robot), track=track)
         for schema, rows in run.chunks():
             scene.log_rows(schema, rows)
         scene.look_for_silence(patience_ns=OUTAGE_NS)
+        scene.finish()
+        verdicts.append(scene.verdict)
         if not track.alone:
-            _log_sign(recording, run, track)
+            _log_sign(recording, track, scene.verdict)
+    configs = [run.config for run in runs]
+    alone = len(runs) == 1
+    log_title(
+        recording,
+        title(configs[0], verdicts[0]) if alone else compared_title(configs, names, verdicts),
+    )
 
 
-def _tracks(runs: Sequence[RunFolder]) -> list[Track]:
-    """Return tracks side by side in the given order, named by folder, or by path if needed."""
-    if len(runs) > len(RUN_COLOURS):
-        raise UserError(f"expected at most {len(RUN_COLOURS)} runs to compare, got {len(runs)}")
-    names = [run.name for run in runs]
-    if len(set(names)) < len(names):
-        names = [str(run.path) for run in runs]
+def _tracks(runs: Sequence[RunFolder], names: Sequence[str]) -> list[Track]:
+    """Return tracks side by side in the given order."""
+    if len(runs) > len(RUNS):
+        raise UserError(f"expected at most {len(RUNS)} runs to compare, got {len(runs)}")
     if len(set(names)) < len(names):
         raise UserError(f"expected different runs to compare, got {', '.join(names)}")
     middle = (len(runs) - 1) / 2
     return [
-        Track(name, RUN_COLOURS[k], (0.0, (k - middle) * SIDE_BY_SIDE, 0.0))
+        Track(name, RUNS[k], (0.0, (k - middle) * SIDE_BY_SIDE, 0.0))
         for k, name in enumerate(names)
     ]
 
 
-def _log_sign(recording: rr.RecordingStream, run: RunFolder, track: Track) -> None:
+def _log_sign(recording: rr.RecordingStream, track: Track, verdict: str) -> None:
     """Draw the run's name and outcome on the floor before its robot."""
-    fell = _fell(run.path)
-    ending = f", fell at {run.duration:.2f} s" if fell else ""
     sign = rr.Points3D(
         [(0.45, 0.0, 0.0)],
-        labels=[f"{track.name}: {CONTROLLERS.label(run.config.controller)}{ending}"],
+        labels=[f"{track.name} {verdict}"],
         colors=None if track.colour is None else [track.colour],
         radii=[0.01],
         show_labels=True,
     )
     recording.log(track.world("sign"), sign, static=True)
-
-
-def _fell(path: Path) -> bool:
-    try:
-        return bool(json.loads((path / "summary.json").read_text(encoding="utf-8"))["fell"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return False

@@ -16,24 +16,28 @@ import rerun as rr
 from shared.config.settings import RunConfig
 from shared.errors import UserError
 from shared.robots import Robot
+from shared.robots.fallen import has_fallen
 from shared.telemetry.outages import OUTAGE, SILENT, Change, LinkLane
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
+from shared.wbc.model import WholeBodyModel
 from viewer.meshes import LinkMesh
 from viewer.plots import (
-    ACTIVE_SET_PATH,
+    LANES,
     LINK_LANES,
     LINKS,
     MODE_LANE,
     OVERRUN_PATH,
+    SOLE_LANES,
     SOLVE_SERIES,
     SOURCE_LANE,
     TICK_SERIES,
-    active_rows,
     link_delay,
     milliseconds,
 )
-from viewer.recorder import Recorder
+from viewer.recorder import NO_STATE, Recorder
+from viewer.soles import sole_states
 from viewer.task_time import Instants, TaskTime
+from viewer.title import STANDS, WAITS, fell_at
 from viewer.track import Track
 from viewer.world import World
 
@@ -66,6 +70,18 @@ class Scene:
         self._last_wall_ns = 0
         self._overruns: float | None = None
         self._tick_columns = _columns(tick_schema(nq=robot.model.nq, nv=robot.model.nv))
+        self._standing = WholeBodyModel(robot).kinematics(
+            robot.q_standing, np.zeros(robot.model.nv)
+        )
+        self._last: Instants | None = None
+        self._fell_ns: int | None = None
+
+    @property
+    def verdict(self) -> str:
+        """Return whether the robot waits, stands or has fallen, in words."""
+        if self._last is None:
+            return WAITS
+        return STANDS if self._fell_ns is None else fell_at(self._fell_ns * 1e-9)
 
     def log_rows(self, schema: Schema, rows: np.ndarray) -> None:
         """Draw rows of any of the three kinds; raise `UserError` if they do not fit this robot."""
@@ -93,6 +109,14 @@ class Scene:
             # Without states the edge sends nothing, so the downlink shows no outage.
             self._log_link_states(1, downlink.silent(self._last_wall_ns, SILENT, patience_ns=0))
 
+    def finish(self) -> None:
+        """End the lanes with the run's last row, except the one that says that it has fallen."""
+        if self._last is None:
+            return
+        for lane in LANES:
+            if lane is not SOURCE_LANE or self._fell_ns is None:
+                self._recorder.states(lane.path, self._last, [""])
+
     def _log_ticks(self, schema: Schema, rows: np.ndarray) -> None:
         wall_ns = schema.column(rows, "wall_ns").astype(np.int64)
         time_ns = schema.column(rows, "time_ns").astype(np.int64)
@@ -117,9 +141,8 @@ class Scene:
             return
         for series in TICK_SERIES:
             self._recorder.peaks(series.path, instants, series.values(schema, rows))
-        sources, modes = (schema.column(rows, name).astype(int) for name in ("source", "mode"))
-        self._recorder.lane(SOURCE_LANE.path, instants, sources, list(SOURCE_LANE.states))
-        self._recorder.lane(MODE_LANE.path, instants, modes, list(MODE_LANE.states))
+        self._last = instants[-1:]
+        self._log_lanes(schema, rows, instants)
         overruns = schema.column(rows, "overruns")
         # Overruns in the first row come from the wait, or from before this viewer was started.
         before = overruns[0] if self._overruns is None else self._overruns
@@ -128,9 +151,46 @@ class Scene:
         if overrun.any():
             took = milliseconds(schema.column(rows, "tick_ns")[overrun])
             self._recorder.lines(OVERRUN_PATH, instants[overrun], took[:, None])
-        times_ns, heights = active_rows(instants.task_ns, schema.column(rows, "active_set"))
-        wall_ns = np.interp(times_ns, instants.task_ns, instants.wall_ns).astype(np.int64)
-        self._recorder.lines(ACTIVE_SET_PATH, Instants(times_ns, wall_ns), heights)
+
+    def _log_lanes(self, schema: Schema, rows: np.ndarray, instants: Instants) -> None:
+        """Log the source of the commands, the contact mode, and the limits of both soles.
+
+        A robot that has fallen has none of them.
+        """
+        fallen = self._fallen(schema, rows)
+        if fallen.all():
+            if self._fell_ns is None:
+                self._fell_ns = int(instants.task_ns[0])
+        elif fallen[-1]:
+            self._fell_ns = int(instants.task_ns[np.flatnonzero(~fallen)[-1] + 1])
+        else:
+            self._fell_ns = None
+        sources, modes = (
+            np.where(fallen, len(lane.states) - 1 if lane is SOURCE_LANE else NO_STATE, values)
+            for lane, values in (
+                (SOURCE_LANE, schema.column(rows, "source").astype(int)),
+                (MODE_LANE, schema.column(rows, "mode").astype(int)),
+            )
+        )
+        self._recorder.lane(SOURCE_LANE.path, instants, sources, list(SOURCE_LANE.states))
+        self._recorder.lane(MODE_LANE.path, instants, modes, list(MODE_LANE.states))
+        first, feet = sole_states(schema, rows)
+        for lane, states in zip(SOLE_LANES, feet, strict=True):
+            names = list(lane.states)
+            indices = np.array([names.index(each) if each else NO_STATE for each in states])
+            self._recorder.lane(
+                lane.path, instants[first], np.where(fallen[first], NO_STATE, indices), names
+            )
+
+    def _fallen(self, schema: Schema, rows: np.ndarray) -> np.ndarray:
+        heights = schema.column(rows, "com")[:, 2].tolist()
+        standing = float(self._standing.com[2])
+        return np.array(
+            [
+                has_fallen(q, com_height=height, standing_com_height=standing)
+                for q, height in zip(schema.column(rows, "q"), heights, strict=True)
+            ]
+        )
 
     def _log_messages(self, schema: Schema, rows: np.ndarray) -> None:
         wall_ns = schema.column(rows, "wall_ns").astype(np.int64)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from shared.output.screen import has_screen
 from viewer.display import Display
-from viewer.recording import blueprint, log_runs, new_recording, title
+from viewer.recording import blueprint, log_runs, new_recording, run_names
 from viewer.run_folder import read_run
 
 _LOOK = 0.1
@@ -27,14 +27,16 @@ def show(
     run, or if nothing can be opened.
     """
     runs = [read_run(path) for path in paths]
-    recording = new_recording(title(runs))
+    recording = new_recording(" and ".join(run_names(runs)))
     if view == "auto":
         view = "native" if has_screen() else "web"
     display = Display(recording, view, blueprint=blueprint(runs), file=None)
     try:
         log_runs(recording, runs)
         recording.flush()
-        say(f"{title(runs)}: {display.address}; Ctrl-C ends")
+        say(f"{' and '.join(run_names(runs))}: {display.state}; Ctrl-C ends")
+        if display.address:
+            say(display.address)
         while display.shown and not stopped():
             time.sleep(_LOOK)
     finally:

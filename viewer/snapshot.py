@@ -18,19 +18,22 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from shared.errors import UserError
-from viewer.plots import BLUE, CYAN, GREEN, ORANGE, PURPLE, RED, YELLOW
+from viewer.blueprint import Picture
+from viewer.colours import COM, FORCE, LEFT_FOOT, LIMIT, PLAN, PRESSURE, PUSH, RIGHT_FOOT, SUPPORT
 from viewer.recorder import TIMELINE
-from viewer.recording import save, title
+from viewer.recording import run_names, save
 from viewer.rerun_process import HOST, RerunProcess, free_port
 from viewer.run_folder import RunFolder, read_run
+from viewer.video import write_mp4
 
-# Size of the window in points. rerun leaves an empty bar in place of its top panel.
-SIZE = (1360, 850)
+# Size of a picture in points. rerun leaves an empty bar in place of its top panel.
+SIZE = (1600, 960)
 _EMPTY_BAR = 37
 ANIMATION_WIDTH = 960
+WHOLE = Picture()
 FRAMES_PER_SECOND = 12
 MAX_FRAMES = 600
-ANIMATIONS = (".gif", ".webp")
+ANIMATIONS = (".gif", ".webp", ".mp4")
 _LOAD_TIMEOUT = 60.0
 _SAME = 3
 _ATTEMPTS = 5
@@ -40,7 +43,14 @@ _GRAPHICS = (
 )
 
 
-def picture(paths: Sequence[Path], out: Path, *, at: float | None = None) -> None:
+def picture(
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    at: float | None = None,
+    size: tuple[int, int] = SIZE,
+    shown: Picture = WHOLE,
+) -> None:
     """Make a picture of one run or several at `at` [s] of the task, by default the end."""
     if out.suffix != ".png":
         raise UserError(f"--out: expected a name ending in .png, got {out}")
@@ -49,17 +59,24 @@ def picture(paths: Sequence[Path], out: Path, *, at: float | None = None) -> Non
     at = duration if at is None else at
     if not 0.0 <= at <= duration:
         raise UserError(f"--at: expected a time in the run, 0 to {duration:.3f} s, got {at:g}")
-    (drawn,) = _draw(runs, [at])
+    (drawn,) = _draw(runs, [at], size=size, shown=shown)
     _write(drawn, out)
 
 
 def animation(
-    paths: Sequence[Path], out: Path, *, begin: float, end: float | None, speed: float
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    begin: float,
+    end: float | None,
+    speed: float,
+    size: tuple[int, int] = SIZE,
+    shown: Picture = WHOLE,
 ) -> None:
     """Make an animation from `begin` to `end` [s] of the task, at `speed` times real time."""
     if out.suffix not in ANIMATIONS:
         raise UserError(
-            f"--animation: expected a name ending in {' or '.join(ANIMATIONS)}, got {out}"
+            f"--animation: expected a name ending in {', '.join(ANIMATIONS)}, got {out}"
         )
     if not (math.isfinite(speed) and speed > 0.0):
         raise UserError(f"--speed: expected a number above 0, got {speed:g}")
@@ -77,8 +94,12 @@ def animation(
             "--span or a higher --speed"
         )
     times = [begin + k * speed / FRAMES_PER_SECOND for k in range(math.ceil(count))]
-    height = round(ANIMATION_WIDTH / SIZE[0] * (SIZE[1] - _EMPTY_BAR))
-    frames = [each.resize((ANIMATION_WIDTH, height)) for each in _draw(runs, times)]
+    drawn = _draw(runs, times, size=size, shown=shown)
+    if out.suffix == ".mp4":
+        write_mp4(out, drawn, frames_per_second=FRAMES_PER_SECOND)
+        return
+    height = round(ANIMATION_WIDTH / size[0] * size[1])
+    frames = [each.resize((ANIMATION_WIDTH, height)) for each in drawn]
     frame_ms = round(1e3 / FRAMES_PER_SECOND)
     options: dict[str, Any] = {"save_all": True, "duration": frame_ms, "loop": 0}
     if out.suffix == ".gif":
@@ -95,7 +116,8 @@ def _duration(runs: Sequence[RunFolder]) -> float:
     duration = max(run.duration for run in runs)
     if duration <= 0.0:
         raise UserError(
-            f"snapshot: expected a run whose task began, got {title(runs)}; play it again"
+            f"snapshot: expected a run whose task began, got {' and '.join(run_names(runs))}; "
+            "play it again"
         )
     return duration
 
@@ -104,7 +126,7 @@ def _palette(frame: Image.Image) -> Image.Image:
     """Return a palette: the colours of a frame, and of lines and arrows, bright and shaded."""
     lines = [
         round(shade * part)
-        for colour in (RED, GREEN, BLUE, ORANGE, YELLOW, PURPLE, CYAN)
+        for colour in (LIMIT, FORCE, PLAN, COM, SUPPORT, PRESSURE, PUSH, LEFT_FOOT, RIGHT_FOOT)
         for shade in (1.0, 0.7)
         for part in colour
     ]
@@ -114,13 +136,19 @@ def _palette(frame: Image.Image) -> Image.Image:
     return palette
 
 
-def _draw(runs: Sequence[RunFolder], times: Sequence[float]) -> Iterator[Image.Image]:
+def _draw(
+    runs: Sequence[RunFolder],
+    times: Sequence[float],
+    *,
+    size: tuple[int, int],
+    shown: Picture,
+) -> Iterator[Image.Image]:
     """Yield the view at each of these times [s]; raise `UserError` if it cannot be drawn."""
     with tempfile.TemporaryDirectory(prefix="snapshot-") as folder:
         file, shot = Path(folder) / "recording.rrd", Path(folder) / "shot.png"
-        save(runs, file, picture=True)
+        save(runs, file, picture=shown)
         port = free_port()
-        width, height = SIZE
+        width, height = size[0], size[1] + _EMPTY_BAR
         window = ("--headless", "--window-size", f"{width}x{height}", "--hide-welcome-screen")
         rerun = RerunProcess(*window, "--port", str(port), str(file))
         try:

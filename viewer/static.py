@@ -15,32 +15,26 @@ from shared.motion.swing import swing
 from shared.motion.walking import Walking
 from shared.robots import Foot, Robot
 from shared.wbc.reference import Motion
-from viewer.meshes import LinkMesh
-from viewer.plots import (
-    ACTIVE_SET_COLOURS,
-    ACTIVE_SET_NAMES,
-    ACTIVE_SET_PATH,
-    BLUE,
-    CYAN,
-    LINK_LANES,
-    LINKS,
-    MODE_LANE,
-    ORANGE,
-    OVERRUN_PATH,
-    PURPLE,
-    RED,
-    SOLVE_SERIES,
-    SOURCE_LANE,
-    TICK_SERIES,
-    YELLOW,
+from viewer.colours import (
+    COM,
+    LEFT_FOOT,
+    LIMIT,
+    LINE,
+    PLAN,
+    PRESSURE,
+    PUSH,
+    RIGHT_FOOT,
+    SUPPORT,
+    Colour,
 )
+from viewer.meshes import LinkMesh
+from viewer.plots import LANES, LINKS, OVERRUN_PATH, SOLVE_SERIES, TICK_SERIES
 from viewer.recorder import Recorder
-from viewer.track import Colour
 
 GHOST_COLOUR = (90, 160, 255, 64)
 # The ghost is smaller, so that it hides inside the robot where both are at the same place.
 GHOST_SCALE = 0.985
-_FOOT_COLOURS: dict[Foot, Colour] = {Foot.LEFT: ORANGE, Foot.RIGHT: CYAN}
+_FOOT_COLOURS: dict[Foot, Colour] = {Foot.LEFT: LEFT_FOOT, Foot.RIGHT: RIGHT_FOOT}
 # Above the ground, which has a grid at zero, and below all moving parts [m].
 _PRINT_HEIGHT = 0.001
 _SWING_POINTS = 20
@@ -49,31 +43,33 @@ _SWING_POINTS = 20
 def log_styles(recorder: Recorder) -> None:
     """Log the colours, sizes and names of everything that will be drawn or plotted."""
     recording, track = recorder.recording, recorder.track
+    own = track.own_colour
+    plan = PLAN if track.alone else LINE
     recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if not track.alone:
         recording.log(track.root, rr.Transform3D(translation=track.offset), static=True)
     styles = {
         "contact_forces": rr.Arrows3D.from_fields(radii=[0.007]),
         "friction_cones": rr.LineStrips3D.from_fields(radii=[0.0012]),
-        "push": rr.Arrows3D.from_fields(colors=[RED], radii=[0.015]),
+        "push": rr.Arrows3D.from_fields(colors=[PUSH], radii=[0.015]),
         # A centre of mass, then its projection on the ground.
-        "com": rr.Points3D.from_fields(colors=[ORANGE], radii=[0.02, 0.012]),
-        "com_reference": rr.Points3D.from_fields(colors=[BLUE], radii=[0.02, 0.012]),
-        "com_plumb_line": rr.LineStrips3D.from_fields(colors=[ORANGE], radii=[0.004]),
-        "centre_of_pressure": rr.Points3D.from_fields(colors=[PURPLE], radii=[0.014]),
-        "support_polygon": rr.LineStrips3D.from_fields(colors=[YELLOW], radii=[0.004]),
+        "com": rr.Points3D.from_fields(colors=[own(COM)], radii=[0.02, 0.012]),
+        "com_reference": rr.Points3D.from_fields(colors=[plan], radii=[0.02, 0.012]),
+        # Inside the robot, too small to be seen.
+        "focus": rr.Points3D.from_fields(colors=[LINE], radii=[0.0005]),
+        "com_plumb_line": rr.LineStrips3D.from_fields(colors=[own(COM)], radii=[0.004]),
+        "centre_of_pressure": rr.Points3D.from_fields(colors=[own(PRESSURE)], radii=[0.014]),
+        "support_polygon": rr.LineStrips3D.from_fields(colors=[own(SUPPORT)], radii=[0.004]),
     }
     for name, style in styles.items():
         recording.log(track.world(name), style, static=True)
     for series in (*TICK_SERIES, SOLVE_SERIES):
         _log_lines(recorder, series.path, series.names, series.colours)
     for link in LINKS:
-        _log_lines(recorder, link.path, (link.name,), (link.colour,))
+        _log_lines(recorder, link.path, (link.name,), (LINE,))
         _log_marks(recorder, link.lost_path, f"{link.name}, lost")
     _log_marks(recorder, OVERRUN_PATH, "overrun")
-    raster = rr.SeriesLines(names=ACTIVE_SET_NAMES, colors=ACTIVE_SET_COLOURS, widths=[2.5] * 40)
-    recording.log(track.plot(ACTIVE_SET_PATH), raster, static=True)
-    for lane in (SOURCE_LANE, MODE_LANE, *LINK_LANES):
+    for lane in LANES:
         states, colours = list(lane.states), list(lane.states.values())
         configuration = rr.StateConfiguration(values=states, labels=states, colors=colours)
         recording.log(track.plot(lane.path), configuration, static=True)
@@ -146,7 +142,7 @@ def _log_lines(
     track = recorder.track
     lines = rr.SeriesLines(
         names=[track.line_name(name) for name in names],
-        colors=list(colours) if track.colour is None else [track.colour] * len(names),
+        colors=[track.own_colour(colour) for colour in colours],
     )
     recorder.recording.log(track.plot(path), lines, static=True)
 
@@ -154,7 +150,7 @@ def _log_lines(
 def _log_marks(recorder: Recorder, path: str, name: str) -> None:
     track = recorder.track
     marks = rr.SeriesPoints(
-        colors=[RED if track.colour is None else track.colour],
+        colors=[track.own_colour(LIMIT)],
         names=[track.line_name(name)],
         markers=["cross"],
         marker_sizes=[5.0],

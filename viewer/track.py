@@ -6,11 +6,10 @@ compared    world/<run>/com            plots/com_error/<run>
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
-import rerun as rr
-
-Colour = tuple[int, int, int]
+from viewer.colours import Colour
 
 # Distance between robots side by side [m].
 SIDE_BY_SIDE = 1.2
@@ -50,6 +49,15 @@ class Track:
         """Return the name of a line in a legend."""
         return name if self.alone else self.name
 
+    def own_colour(self, colour: Colour) -> Colour:
+        """Return the colour of a line or mark: its own, or that of the run among several."""
+        return colour if self.colour is None else self.colour
+
     @property
     def _part(self) -> str:
-        return rr.escape_entity_path_part(self.name)
+        return path_part(self.name)
+
+
+def path_part(name: str) -> str:
+    """Return a name as a part of a path, which rerun shows as it is."""
+    return re.sub(r"[^\w.-]+", "_", name)

@@ -17,9 +17,10 @@ from shared.motion.plan_frame import PlanFrame
 from shared.robots import Robot
 from shared.telemetry.schema import Schema, Source
 from shared.wbc.contacts import ContactMode
+from viewer.camera import focus_height
+from viewer.colours import FORCE, LIMIT, SECOND_LINE
 from viewer.ghost import Ghost
 from viewer.meshes import LinkMesh
-from viewer.plots import GREEN, GREY, RED
 from viewer.pose import Frame, Placements, PoseModel, on_the_ground
 from viewer.recorder import Recorder
 from viewer.static import log_footsteps, log_robot, log_styles
@@ -49,6 +50,7 @@ class World:
         joints = sorted({1, *(mesh.joint for mesh in meshes)})
         self._pose = PoseModel(robot, joints, friction=config.wbc.friction)
         motion = make_motion(robot, config)
+        self._focus = focus_height(robot)
         # Side by side, ghosts would hide the differences.
         self._ghost = Ghost(robot, motion) if track.alone else None
         of_robot, of_ghost = (
@@ -108,13 +110,13 @@ class World:
             )
             for name in ("contact_points", "contact_forces", "friction_edges", "friction_used")
         )
-        limited = used >= AT_LIMIT
+        limited, own = used >= AT_LIMIT, self._recorder.track.own_colour
         shrunk = np.maximum(1.0, np.linalg.norm(forces, axis=1) / MAX_FORCE)[:, None]
         forces, edges = forces / shrunk, edges / shrunk[:, None]
         arrows = rr.Arrows3D.columns(
             origins=points,
             vectors=forces / NEWTONS_PER_METRE,
-            colors=np.where(limited[:, None], RED, GREEN).astype(np.uint8),
+            colors=np.where(limited[:, None], LIMIT, own(FORCE)).astype(np.uint8),
         )
         self._send("contact_forces", instants, arrows.partition(counts))
         rims = points[:, None] + edges / NEWTONS_PER_METRE
@@ -123,10 +125,8 @@ class World:
         around = np.concatenate([rims, rims[:, :1], apex, rims[:, 1:2]], axis=1)
         across = np.concatenate([rims[:, 2:3], apex, rims[:, 3:4]], axis=1)
         strips = [stroke for pair in zip(around, across, strict=True) for stroke in pair]
-        cones = rr.LineStrips3D.columns(
-            strips=strips,
-            colors=np.repeat(np.where(limited[:, None], RED, GREY), 2, axis=0).astype(np.uint8),
-        )
+        colours = np.where(limited[:, None], LIMIT, SECOND_LINE).astype(np.uint8)
+        cones = rr.LineStrips3D.columns(strips=strips, colors=np.repeat(colours, 2, axis=0))
         self._send("friction_cones", instants, cones.partition([2 * count for count in counts]))
         outlines = [frame.support_polygon + ABOVE_GROUND for frame in frames]
         self._send("support_polygon", instants, rr.LineStrips3D.columns(strips=outlines))
@@ -135,6 +135,8 @@ class World:
         self, schema: Schema, rows: np.ndarray, frames: list[Frame], instants: Instants
     ) -> None:
         com, reference = (schema.column(rows, name) for name in ("com", "com_reference"))
+        focus = np.column_stack([com[:, :2], np.full(len(com), self._focus)])
+        self._send("focus", instants, rr.Points3D.columns(positions=focus))
         for name, points in (("com", com), ("com_reference", reference)):
             pairs = np.stack([points, on_the_ground(points) + ABOVE_GROUND], axis=1)
             columns = rr.Points3D.columns(positions=pairs.reshape(-1, 3))

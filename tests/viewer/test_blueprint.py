@@ -11,13 +11,14 @@ import pytest
 from shared.config.config_file import load_config
 from shared.config.settings import RunConfig
 from shared.robots import CATALOGUE, load_robot
-from viewer.blueprint import camera, compared_layout, layout
-from viewer.plots import ACTIVE_SET_PATH, LINKS, OVERRUN_PATH, SOLVE_SERIES, TICK_SERIES
+from viewer.blueprint import compared_layout, layout
+from viewer.camera import eye_and_target
+from viewer.plots import LANES, LINKS, OVERRUN_PATH, SOLVE_SERIES, TICK_SERIES
 from viewer.track import SIDE_BY_SIDE
 
 # Of rerun's camera, from top to bottom; and of the picture, a little narrower than it is high.
 FIELD_OF_VIEW = np.deg2rad(55.0)
-ASPECT = 0.83
+ASPECT = 0.72
 
 
 def config_of(robot: str, *, walk: float = 0.0, controller: str = "la") -> RunConfig:
@@ -45,7 +46,9 @@ def in_picture(points: np.ndarray, eye: np.ndarray, target: np.ndarray) -> np.nd
 def test_all_of_every_robot_is_seen_from_the_start_to_the_end(
     robot: str, count: int, walk: float
 ) -> None:
-    eye, target = camera([config_of(robot, walk=walk)] * count)
+    eye, target = eye_and_target([config_of(robot, walk=walk)] * count)
+    # One robot is followed.
+    walk = 0.0 if count == 1 else walk
     top = load_robot(robot).q_standing[2] * 1.75
     middles = (np.arange(count) - (count - 1) / 2) * SIDE_BY_SIDE
     points = np.array(
@@ -73,24 +76,26 @@ def views(part: Any) -> Iterator[Any]:
 
 @pytest.mark.parametrize("controller", ["pr", "la", "lc"])
 def test_everything_that_is_plotted_has_its_place(controller: str) -> None:
-    origins = [
-        view.origin
-        for view in views(
-            layout(config_of("romeo", controller=controller), live=True).root_container
-        )
-    ]
+    every = list(
+        views(layout(config_of("romeo", controller=controller), duration=None).root_container)
+    )
+    origins = [view.origin for view in every]
     assert len(origins) == len(set(origins))
     plotted = [
         *(series.path for series in (*TICK_SERIES, SOLVE_SERIES)),
         *(path for link in LINKS for path in (link.path, link.lost_path)),
-        *(ACTIVE_SET_PATH, OVERRUN_PATH, "lanes/command", "world/joints"),
+        *(OVERRUN_PATH, "world/joints", "title"),
     ]
+    (lanes,) = (view for view in every if view.origin == "/")
+    assert lanes.contents == [f"/{lane.path}/**" for lane in LANES]
+    origins.remove("/")
     without = [path for path in plotted if not path.startswith(tuple(origins))]
-    assert without == ([] if controller == "lc" else ["plots/correction"])
+    correction = ["plots/correction/contraction", "plots/correction/staleness"]
+    assert without == ([] if controller == "lc" else correction)
 
 
 def test_a_comparison_is_of_the_robots_the_link_and_the_errors() -> None:
-    both = compared_layout([config_of("romeo"), config_of("talos")])
+    both = compared_layout([config_of("romeo"), config_of("talos")], duration=5.0)
     origins = {view.origin for view in views(both.root_container)}
     errors = {"plots/com_error", "plots/contact_violation"}
-    assert origins == {"world", "plots/delay", "plots/projector_age", "lanes", *errors}
+    assert origins == {"world", "title", "/", "plots/delay/uplink", "plots/projector_age", *errors}

@@ -28,7 +28,7 @@ from viewer.intake import BlockQueue, connect
 from viewer.recording import new_recording
 from viewer.rerun_process import free_port
 
-LAYOUT = layout(RunConfig(), live=True)
+LAYOUT = layout(RunConfig(), duration=None)
 
 
 def test_a_full_queue_drops_its_oldest_blocks_and_counts_them() -> None:
@@ -93,7 +93,8 @@ def test_a_watched_run_is_recorded_and_ends_within_two_seconds_of_the_signal(
     )
     try:
         began = time.monotonic()
-        assert viewer.wait_for("READY").startswith("READY open http://127.0.0.1:")
+        assert viewer.wait_for("READY") == "READY in a browser, at the address below"
+        assert viewer.wait_for("http").endswith("%2Fproxy"), "the address is alone on its line"
         until(lambda: is_heard(ticks) and is_heard(link), "the viewer does not subscribe")
         loaded = time.monotonic() - began
         for k in range(5):

@@ -7,12 +7,10 @@ import numpy as np
 from shared.robots import Robot
 from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
 from viewer.plots import (
-    ACTIVE_SET_HEIGHTS,
     BUCKET_NS,
     MAX_COM_ERROR_CM,
     SOLVE_SERIES,
     TICK_SERIES,
-    active_rows,
     link_delay,
     peak_rows,
 )
@@ -69,28 +67,6 @@ def test_values_are_in_the_units_of_the_plots(robot: Robot) -> None:
     np.testing.assert_allclose(link_delay(schema, rows)[[0, 2], 0], [np.nan, 15.1])
     schema, rows = solve_rows(1)
     np.testing.assert_allclose(SOLVE_SERIES.values(schema, rows), [[0.9]])
-
-
-def test_an_active_row_is_a_bar_from_its_first_tick_to_its_last() -> None:
-    times = np.arange(100) * MILLISECOND
-    active_set = np.zeros(100)
-    active_set[30:60] = float((1 << 3) | (1 << 39))
-    at, heights = active_rows(times, active_set)
-    bars = heights[:, [3, 39]]
-    on = np.isfinite(bars).all(axis=1)
-    np.testing.assert_array_equal(at[on], [30 * MILLISECOND, 60 * MILLISECOND - 1])
-    np.testing.assert_array_equal(bars[on], [ACTIVE_SET_HEIGHTS[[3, 39]]] * 2)
-    assert np.isnan(np.delete(heights, [3, 39], axis=1)).all()
-    assert (np.diff(at) >= 0).all()
-
-
-def test_a_row_that_is_active_for_one_tick_is_seen_and_no_solution_has_none() -> None:
-    times = np.arange(50) * MILLISECOND
-    active_set = np.full(50, -1.0)
-    active_set[27] = 1.0
-    at, heights = active_rows(times, active_set)
-    assert at[np.isfinite(heights[:, 0])].tolist() == [20 * MILLISECOND, 30 * MILLISECOND - 1]
-    assert np.isfinite(heights).sum() == 2
 
 
 def test_messages_get_the_task_time_of_the_rows_around_them() -> None:

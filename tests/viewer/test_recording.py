@@ -47,9 +47,9 @@ def test_a_run_becomes_a_recording_with_robot_plots_and_layout(run: Path, robot:
     expected = {
         *("/world/joints", "/world/contact_forces", "/world/support_polygon", "/world/com"),
         *("/world/com_reference", "/world/push", "/world/ghost_joints", "/world/friction_cones"),
-        *("/world/centre_of_pressure", "/plots/delay/uplink", "/plots/delay/downlink_lost"),
-        *("/plots/projector_age", "/plots/compute/solve", "/plots/active_set"),
-        *("/lanes/command", "/lanes/contact", "/lanes/uplink", "/lanes/downlink"),
+        *("/world/centre_of_pressure", "/plots/delay/uplink", "/plots/delay/downlink/lost"),
+        *("/plots/projector_age", "/plots/compute/solve", "/soles_at_a_limit/left_foot"),
+        *("/robot/command", "/robot/planned_contact", "/link/uplink", "/link/downlink"),
     }
     assert expected <= entities(recorded.path)
     assert len(RrdReader(recorded.path).blueprints()) == 1

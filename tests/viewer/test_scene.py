@@ -11,10 +11,10 @@ import pytest
 from shared.config.settings import RunConfig
 from shared.errors import UserError
 from shared.robots import Robot
-from shared.telemetry.schema import Column, Schema, tick_schema
+from shared.telemetry.schema import Column, Schema, Source, tick_schema
 from tests.viewer.reading import entities, logged, static
 from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
-from viewer.plots import GREEN, RED
+from viewer.colours import FORCE, LIMIT
 from viewer.recording import new_recording
 from viewer.scene import Scene
 from viewer.track import Track
@@ -28,7 +28,7 @@ Rows = tuple[Schema, np.ndarray]
 def draw(robot: Robot, config: RunConfig, tmp_path: Path) -> Callable[..., Path]:
     """Draws batches of rows, in order, into a file."""
 
-    def build(*batches: Rows) -> Path:
+    def build(*batches: Rows, finished: bool = False) -> Path:
         path = tmp_path / "scene.rrd"
         recording = new_recording("test")
         recording.save(path)
@@ -36,6 +36,8 @@ def draw(robot: Robot, config: RunConfig, tmp_path: Path) -> Callable[..., Path]
         for schema, rows in batches:
             scene.log_rows(schema, rows)
         scene.look_for_silence(patience_ns=50 * MILLISECOND)
+        if finished:
+            scene.finish()
         recording.disconnect()
         return path
 
@@ -104,7 +106,7 @@ def test_messages_wait_for_the_first_row_of_the_robot_and_share_its_time(
     assert times[0] == 0, "what came before the task began is not plotted"
     assert times[-1] == 199 * MILLISECOND
     np.testing.assert_allclose(delays[0], [30.1])
-    lost_at, lost = logged(path, "/plots/delay/uplink_lost", "Scalars:scalars")
+    lost_at, lost = logged(path, "/plots/delay/uplink/lost", "Scalars:scalars")
     np.testing.assert_array_equal(lost_at, [50 * MILLISECOND])
     np.testing.assert_allclose(lost, [[15.0]])
     assert logged(path, "/plots/compute/solve", "Scalars:scalars")[0][0] == 0
@@ -113,10 +115,39 @@ def test_messages_wait_for_the_first_row_of_the_robot_and_share_its_time(
 def test_states_are_logged_when_they_change_only(robot: Robot, draw: Callable[..., Path]) -> None:
     batches = [tick_rows(robot, 100, start=100 * k) for k in range(6)]
     path = draw(*batches)
-    assert logged(path, "/lanes/contact", "StateChange:state")[1] == [["both feet"]]
-    times, names = logged(path, "/lanes/command", "StateChange:state")
+    assert logged(path, "/robot/planned_contact", "StateChange:state")[1] == [["both feet"]]
+    times, names = logged(path, "/robot/command", "StateChange:state")
     assert names == [["cached"], ["fresh"], ["cached"]]
     np.testing.assert_array_equal(times, np.array([0, 250, 500]) * MILLISECOND)
+
+
+def test_after_a_fall_nothing_is_drawn_as_held(robot: Robot, draw: Callable[..., Path]) -> None:
+    schema, rows = tick_rows(robot, 200)
+    rows[150:, schema.slices["com"]] *= 0.5
+    rows[150:, schema.slices["source"]] = Source.HELD
+    path = draw((schema, rows), finished=True)
+    assert logged(path, "/robot/command", "StateChange:state")[1] == [["cached"], ["fallen"]]
+    times, states = logged(path, "/robot/planned_contact", "StateChange:state")
+    assert states[-1] == [""]
+    assert times[1] == 150 * MILLISECOND
+
+
+def test_the_lanes_of_a_finished_run_end_with_it(robot: Robot, draw: Callable[..., Path]) -> None:
+    path = draw(tick_rows(robot, 100), finished=True)
+    for lane in ("/robot/command", "/robot/planned_contact"):
+        times, states = logged(path, lane, "StateChange:state")
+        assert (times[-1], states[-1]) == (99 * MILLISECOND, [""])
+
+
+def test_the_verdict_is_that_of_the_last_row(robot: Robot, config: RunConfig) -> None:
+    scene = Scene(new_recording("test"), robot, config, meshes=())
+    assert scene.verdict == "waits for the edge"
+    schema, rows = tick_rows(robot, 100)
+    scene.log_rows(schema, rows[:50])
+    assert scene.verdict == "stands"
+    rows[70:, schema.slices["com"]] *= 0.5
+    scene.log_rows(schema, rows[50:])
+    assert scene.verdict == "fell at 0.07 s"
 
 
 def test_a_source_that_this_viewer_does_not_know_is_shown_by_its_number(
@@ -124,7 +155,7 @@ def test_a_source_that_this_viewer_does_not_know_is_shown_by_its_number(
 ) -> None:
     schema, rows = tick_rows(robot, 10)
     rows[:, schema.slices["source"]] = 17
-    assert logged(draw((schema, rows)), "/lanes/command", "StateChange:state")[1] == [["number 17"]]
+    assert logged(draw((schema, rows)), "/robot/command", "StateChange:state")[1] == [["number 17"]]
 
 
 def test_a_force_beyond_its_friction_and_its_pyramid_are_red(
@@ -137,7 +168,7 @@ def test_a_force_beyond_its_friction_and_its_pyramid_are_red(
     path = draw((schema, rows))
     (colours,) = logged(path, "/world/contact_forces", "Arrows3D:colors")[1]
     rgb = [tuple(int(colour).to_bytes(4, "big")[:3]) for colour in colours]
-    assert rgb == [GREEN] * 6 + [RED] + [GREEN]
+    assert rgb == [FORCE] * 6 + [LIMIT] + [FORCE]
     (strips,) = logged(path, "/world/friction_cones", "LineStrips3D:strips")[1]
     assert len(strips) == 2 * 8
 
@@ -156,7 +187,7 @@ def test_an_overrun_is_marked_at_its_tick(robot: Robot, draw: Callable[..., Path
     schema, rows = tick_rows(robot, 100)
     rows[70:, schema.slices["overruns"]] = 1.0
     rows[70, schema.slices["tick_ns"]] = 2.5e6
-    times, marks = logged(draw((schema, rows)), "/plots/compute/overrun", "Scalars:scalars")
+    times, marks = logged(draw((schema, rows)), "/plots/compute/tick/overrun", "Scalars:scalars")
     np.testing.assert_array_equal(times, [70 * MILLISECOND])
     np.testing.assert_allclose(marks, [[2.5]])
 
@@ -168,7 +199,7 @@ def test_overruns_of_the_wait_are_not_marked_in_the_task(
     # As the robot counts: it begins anew with the second tick of the task.
     rows[10:21, schema.slices["overruns"]] = 7.0
     rows[60:, schema.slices["overruns"]] = 1.0
-    times, _ = logged(draw((schema, rows)), "/plots/compute/overrun", "Scalars:scalars")
+    times, _ = logged(draw((schema, rows)), "/plots/compute/tick/overrun", "Scalars:scalars")
     np.testing.assert_array_equal(times, [40 * MILLISECOND])
 
 
@@ -176,10 +207,10 @@ def test_a_link_that_is_cut_shows_as_an_outage_without_an_end(
     robot: Robot, draw: Callable[..., Path]
 ) -> None:
     path = draw(tick_rows(robot, 400), link_rows(200))
-    times, states = logged(path, "/lanes/uplink", "StateChange:state")
+    times, states = logged(path, "/link/uplink", "StateChange:state")
     assert states == [["passing"], ["outage"]]
     assert times[1] == pytest.approx((199 + 15.1) * MILLISECOND)
-    assert logged(path, "/lanes/downlink", "StateChange:state")[1][-1] == ["nothing sent"]
+    assert logged(path, "/link/downlink", "StateChange:state")[1][-1] == ["nothing sent"]
 
 
 def test_everything_has_its_time_on_the_clock_too(robot: Robot, draw: Callable[..., Path]) -> None:
@@ -206,7 +237,7 @@ def test_of_several_runs_each_has_its_own_entities_and_place(
         Scene(recording, robot, config, meshes=(), track=track).log_rows(*tick_rows(robot, 20))
     recording.disconnect()
     found = entities(path)
-    assert {"/world/pr/joints", r"/world/slow\ link/joints", "/plots/com_error/pr"} <= found
+    assert {"/world/pr/joints", "/world/slow_link/joints", "/plots/com_error/pr"} <= found
     assert not [each for each in found if "ghost" in each]
     (place,) = static(path, "/world/pr", "Transform3D:translation")
     np.testing.assert_allclose(place, [[0.0, 1.0, 0.0]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,12 +18,13 @@ from shared.process.entry import python
 from shared.robots import Robot
 from shared.telemetry.parquet import write_parquet
 from tests.processes import played
-from tests.viewer.reading import entities
+from tests.viewer.reading import entities, static
 from tests.viewer.synthetic import tick_rows
 from viewer.recording import save
 from viewer.run_folder import read_run
 from viewer.show import show
 from viewer.snapshot import animation, picture
+from viewer.video import write_mp4
 
 
 @pytest.fixture(autouse=True)
@@ -54,10 +56,12 @@ def test_compared_runs_are_in_one_recording_under_their_names(
 ) -> None:
     save([read_run(folder) for folder in runs.values()], tmp_path / "both.rrd")
     found = entities(tmp_path / "both.rrd")
-    for name in runs:
-        assert {f"/world/{name}/joints", f"/plots/com_error/{name}", f"/lanes/command/{name}"} <= (
+    for name in ("LA", "PR"):
+        assert {f"/world/{name}/joints", f"/plots/com_error/{name}", f"/robot/command/{name}"} <= (
             found
         )
+    (title,) = static(tmp_path / "both.rrd", "/title", "TextDocument:text")
+    assert title == ["### Romeo · balance · factory/001 · LA stands, PR stands"]
 
 
 def test_runs_of_the_same_name_are_told_apart_by_their_folders(
@@ -89,7 +93,7 @@ def test_a_wrong_folder_is_refused_in_one_line(command: str, tmp_path: Path) -> 
     [
         (lambda run, out: picture([run], out / "x.jpg"), r"ending in \.png"),
         (lambda run, out: picture([run], out / "x.png", at=3.0), r"0 to 0\.049 s, got 3"),
-        (lambda run, out: film(run, out / "x.mp4"), r"\.gif or \.webp"),
+        (lambda run, out: film(run, out / "x.avi"), r"\.gif, \.webp, \.mp4"),
         (lambda run, out: film(run, out / "x.gif", begin=0.2), "span of the run"),
         (lambda run, out: film(run, out / "x.gif", speed=0.0), "above 0"),
         (lambda run, out: film(run, out / "x.gif", speed=1e-5), "at most 600 frames"),
@@ -125,6 +129,35 @@ def test_without_graphics_the_package_to_install_is_named(
     assert "\n" not in str(message.value)
 
 
+def test_an_mp4_has_every_picture_in_its_order(tmp_path: Path) -> None:
+    av = pytest.importorskip("av", reason="the optional package for mp4")
+    shades = [0, 120, 250]
+    write_mp4(
+        tmp_path / "x.mp4",
+        [Image.new("RGB", (65, 33), (shade, shade, shade)) for shade in shades],
+        frames_per_second=12,
+    )
+    with av.open(str(tmp_path / "x.mp4")) as film:
+        frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+    assert [frame.shape for frame in frames] == [(32, 64, 3)] * 3
+    # Lossy, and of another range.
+    assert [float(frame.mean()) for frame in frames] == pytest.approx(shades, abs=6.0)
+
+
+@pytest.mark.parametrize("size", ["1600", "0x900", "99999x10", "x", "1600x-9"])
+def test_a_size_that_cannot_be_is_told_by_example(
+    runs: dict[str, Path], tmp_path: Path, size: str
+) -> None:
+    out = str(tmp_path / "x.png")
+    done = played(
+        *python("-m", "viewer", "snapshot", str(runs["la"]), "--out", out, f"--size={size}")
+    )
+    assert done.returncode == 2
+    assert f"expected WIDTHxHEIGHT in pixels, each 200 to 4096, as in 1600x960, got '{size}'" in (
+        done.stderr
+    )
+
+
 @pytest.mark.live
 def test_a_picture_shows_the_robot_and_the_plots(runs: dict[str, Path], tmp_path: Path) -> None:
     out = tmp_path / "both.png"
@@ -145,5 +178,6 @@ def test_a_picture_shows_the_robot_and_the_plots(runs: dict[str, Path], tmp_path
 @pytest.mark.live
 def test_a_run_opens_in_a_browser_and_ends_when_told(runs: dict[str, Path]) -> None:
     output: list[str] = []
-    show([runs["la"]], view="web", stopped=lambda: bool(output), say=output.append)
-    assert "la: open http://127.0.0.1:" in output[0]
+    show([runs["la"]], view="web", stopped=lambda: len(output) > 1, say=output.append)
+    assert output[0] == "la: in a browser, at the address below; Ctrl-C ends"
+    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\?url=[\w.%]+%2Fproxy", output[1])
