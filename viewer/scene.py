@@ -16,10 +16,8 @@ import rerun as rr
 from shared.config.settings import RunConfig
 from shared.errors import UserError
 from shared.robots import Robot
-from shared.robots.fallen import has_fallen
 from shared.telemetry.outages import OUTAGE, SILENT, Change, LinkLane
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
-from shared.wbc.model import WholeBodyModel
 from viewer.meshes import LinkMesh
 from viewer.plots import (
     LANES,
@@ -37,8 +35,8 @@ from viewer.plots import (
 from viewer.recorder import NO_STATE, Recorder
 from viewer.soles import sole_states
 from viewer.task_time import Instants, TaskTime
-from viewer.title import STANDS, WAITS, fell_at
 from viewer.track import Track
+from viewer.verdict import Verdict
 from viewer.world import World
 
 FRAME_NS = 20_000_000
@@ -70,18 +68,13 @@ class Scene:
         self._last_wall_ns = 0
         self._overruns: float | None = None
         self._tick_columns = _columns(tick_schema(nq=robot.model.nq, nv=robot.model.nv))
-        self._standing = WholeBodyModel(robot).kinematics(
-            robot.q_standing, np.zeros(robot.model.nv)
-        )
+        self._verdict = Verdict(robot)
         self._last: Instants | None = None
-        self._fell_ns: int | None = None
 
     @property
     def verdict(self) -> str:
         """Return whether the robot waits, stands or has fallen, in words."""
-        if self._last is None:
-            return WAITS
-        return STANDS if self._fell_ns is None else fell_at(self._fell_ns * 1e-9)
+        return self._verdict.text
 
     def log_rows(self, schema: Schema, rows: np.ndarray) -> None:
         """Draw rows of any of the three kinds; raise `UserError` if they do not fit this robot."""
@@ -114,7 +107,7 @@ class Scene:
         if self._last is None:
             return
         for lane in LANES:
-            if lane is not SOURCE_LANE or self._fell_ns is None:
+            if lane is not SOURCE_LANE or not self._verdict.fallen:
                 self._recorder.states(lane.path, self._last, [""])
 
     def _log_ticks(self, schema: Schema, rows: np.ndarray) -> None:
@@ -157,14 +150,7 @@ class Scene:
 
         A robot that has fallen has none of them.
         """
-        fallen = self._fallen(schema, rows)
-        if fallen.all():
-            if self._fell_ns is None:
-                self._fell_ns = int(instants.task_ns[0])
-        elif fallen[-1]:
-            self._fell_ns = int(instants.task_ns[np.flatnonzero(~fallen)[-1] + 1])
-        else:
-            self._fell_ns = None
+        fallen = self._verdict.take(schema, rows)
         sources, modes = (
             np.where(fallen, len(lane.states) - 1 if lane is SOURCE_LANE else NO_STATE, values)
             for lane, values in (
@@ -181,16 +167,6 @@ class Scene:
             self._recorder.lane(
                 lane.path, instants[first], np.where(fallen[first], NO_STATE, indices), names
             )
-
-    def _fallen(self, schema: Schema, rows: np.ndarray) -> np.ndarray:
-        heights = schema.column(rows, "com")[:, 2].tolist()
-        standing = float(self._standing.com[2])
-        return np.array(
-            [
-                has_fallen(q, com_height=height, standing_com_height=standing)
-                for q, height in zip(schema.column(rows, "q"), heights, strict=True)
-            ]
-        )
 
     def _log_messages(self, schema: Schema, rows: np.ndarray) -> None:
         wall_ns = schema.column(rows, "wall_ns").astype(np.int64)

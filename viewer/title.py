@@ -16,12 +16,6 @@ from shared.config.settings import RunConfig
 from viewer.track import path_part
 
 PATH = "title"
-WAITS, STANDS = "waits for the edge", "stands"
-
-
-def fell_at(seconds: float) -> str:
-    """Return the verdict of a fall."""
-    return f"fell at {seconds:.2f} s"
 
 
 def parts(config: RunConfig) -> tuple[str, ...]:
