@@ -108,9 +108,8 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_link(arguments: argparse.Namespace) -> int:
     """Change the link of a running stack, or play the study of a link."""
-    from shared.wire.operator import LINK_WORDS
-
     from deploy.operate import send_link
+    from shared.wire.operator import LINK_WORDS
 
     change = getattr(arguments, "change", None) or arguments.network
     if change in LINK_WORDS:

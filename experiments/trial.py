@@ -87,7 +87,9 @@ def _config_and_events(
     if given is None or not given.is_dir():
         return config_from(arguments), () if given is None else read_events(given)
     if arguments.config is not None:
-        raise ConfigError(f"events: {given} has settings of its own; leave --config out")
+        raise ConfigError(
+            f"events: expected the folder of a run alone, got --config too; the folder has its settings"
+        )
     settings = given / "config.toml"
     if not settings.is_file():
         raise ConfigError(f"events: expected the folder of a run, {given} has no config.toml")

@@ -378,7 +378,7 @@ class RobotNode:
         self._stopping = self._lands = self.fallen = False
 
     def _another_controller(self, config: RunConfig, session: int) -> Controller:
-        """Make a controller with workspaces of its own, so that the tick may go on meanwhile."""
+        """Make a controller with separate workspaces, so that the tick may go on meanwhile."""
         robot = self._model.robot
         stacks = make_stacks(robot, config.wbc, Limits.of(robot, config))
         return self._controller_of(config, session, WholeBodyModel(robot), stacks)
