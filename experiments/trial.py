@@ -88,7 +88,7 @@ def _config_and_events(
         return config_from(arguments), () if given is None else read_events(given)
     if arguments.config is not None:
         raise ConfigError(
-            f"events: expected the folder of a run alone, got --config too; the folder has its settings"
+            f"events: expected --events alone, got --config too; {given} has the run's settings"
         )
     settings = given / "config.toml"
     if not settings.is_file():
