@@ -12,7 +12,7 @@ MS = 1_000_000
 
 
 def walk(play, delay_ms, **changes):
-    """Six steps of 0.1 m with the on-board computer as slow as the link, as in Table III."""
+    """Four steps of 0.1 m with the on-board computer as slow as the link, as in Table III."""
     return play(
         task="walk",
         **{
@@ -20,6 +20,7 @@ def walk(play, delay_ms, **changes):
             "switch.compute_ns": delay_ms * MS,
             "switch.compute_time_scale": 1.0,
             "walk.double_support": 0.005,
+            "walk.steps": 4,
             **changes,
         },
     )
@@ -31,8 +32,8 @@ def test_without_delay_romeo_arrives_where_the_plan_ends(play):
     com = result.schema.column(result.rows, "com")[-1]
     reference = result.schema.column(result.rows, "com_reference")[-1]
     assert np.linalg.norm(com - reference) < 0.05
-    # Five advancing steps of 0.1 m.
-    assert com[0] > 0.45
+    # Three advancing steps of 0.1 m.
+    assert com[0] > 0.25
 
 
 @pytest.mark.parametrize("delay_ms", [3, 25, 60])
@@ -47,7 +48,7 @@ def test_around_a_switch_the_robot_uses_its_own_solutions(play):
     result = walk(play, 25)
     assert result.summary["commands"]["on_board"] > 0
     # One preparation for each end of each single support, and full QPs in the windows.
-    assert result.summary["on_board_qps"] > 12
+    assert result.summary["on_board_qps"] > 8
 
 
 def test_every_switch_is_prepared_even_with_a_computer_slower_than_a_double_support(play):
@@ -56,7 +57,7 @@ def test_every_switch_is_prepared_even_with_a_computer_slower_than_a_double_supp
     # A loaded foot stays where it was set down: 0.45 mm measured.
     assert summary["foot_slip_mm"]["max"] < 2.0
     # A double support of 5 ms is over before its own answer can be there.
-    assert summary["switch_to_fresh_ms"]["never"] == 5
+    assert summary["switch_to_fresh_ms"]["never"] == 3
     assert summary["switch_to_fresh_ms"]["max"] <= 26.0
 
 
@@ -81,9 +82,9 @@ def test_without_preparation_the_robot_holds_its_joints_after_every_switch(play)
 
 def test_either_end_alone_can_prepare_a_switch(play):
     for missing in UNPREPARED:
-        summary = walk(play, 3, **{missing: False}).summary
+        summary = walk(play, 3, **{missing: False, "walk.steps": 2}).summary
         assert not summary["fell"]
-        assert summary["commands"]["held"] <= 5 * 6
+        assert summary["commands"]["held"] <= 5 * 2
 
 
 def test_the_active_set_used_is_the_true_one_without_delay_and_older_with_it(play):
@@ -101,9 +102,9 @@ def test_states_the_edge_never_saw_have_a_true_active_set_too(play, trace):
 
 
 def test_purely_remote_walks_over_small_delays_with_a_larger_violation(play):
-    summary = walk(play, 5, controller="pr").summary
+    summary = walk(play, 5, controller="pr", **{"walk.steps": 2}).summary
     assert not summary["fell"]
-    assisted = walk(play, 5).summary
+    assisted = walk(play, 5, **{"walk.steps": 2}).summary
     assert summary["contact_violation_m_s2"] > 10 * assisted["contact_violation_m_s2"]
 
 
@@ -113,7 +114,7 @@ def test_purely_remote_walks_over_small_delays_with_a_larger_violation(play):
         {"steps": 3, "step_length": 0.15},
         {"steps": 3, "step_length": -0.1},
         {"steps": 3, "step_length": 0.0, "step_sideways": 0.05},
-        {"steps": 4, "step_length": 0.05, "step_turn": 0.22},
+        {"steps": 3, "step_length": 0.05, "step_turn": 0.22},
         {"steps": 3, "com_plan": "mpc"},
     ],
     ids=str,
