@@ -20,7 +20,7 @@ from shared.errors import ConfigError, LinkError
 from shared.process.cli import EXIT_STANDING
 from shared.wire.operator import LINK_WORDS, Command, LinkCommand, parse_command
 
-_DIAL_SECONDS = 3.0
+_DIAL_ONCE = {"connect/timeout_ms": 3000, "connect/exit_on_failure": True}
 
 
 def add_push_arguments(parser: argparse.ArgumentParser) -> None:
@@ -125,7 +125,7 @@ def _send(text: str, arguments: argparse.Namespace) -> int:
     from shared.bus.operator import CommandClient
     from shared.bus.zenoh_bus import ZenohBus
 
-    bus = ZenohBus.dial(hub, within=_DIAL_SECONDS)
+    bus = ZenohBus(connect=[hub], mode="client", settings=_DIAL_ONCE)
     try:
         answer = CommandClient(bus).send(command)
     finally:

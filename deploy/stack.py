@@ -11,8 +11,12 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
+
+import tomli_w
 
 from deploy.background.control_server import ControlServer
 from deploy.background.detach import tell_ready
@@ -28,22 +32,31 @@ from deploy.background.state import (
     StackState,
     exit_in_words,
 )
+from deploy.console.keys import commands_of, each_key, has_keys, keys_in_words, typed_keys
 from deploy.console.terminal import Terminal
 from deploy.console.watch import open_hub, private_socket, status_of, tell
 from deploy.neighbours import Neighbours
 from deploy.outcome import record, summarise
-from deploy.plan import ROBOT, VIEWER, Plan, PlannedService
+from deploy.plan import NETEM, ROBOT, VIEWER, Plan, PlannedService
 from deploy.process_stat import process_started
+from deploy.scene import RobotTime, Sender, play
 from deploy.services import HELD, IGNORED, OUTCOME
 from deploy.supervisor import Launch, Supervisor
+from shared.bus.base import Delivery
+from shared.bus.operator import CommandClient
 from shared.commands import wbc
+from shared.config.config_file import differing, settings_table
 from shared.config.settings import RunConfig
 from shared.errors import LinkError, UserError
 from shared.output.summary import summary_in_words
 from shared.process.cli import EXIT_FELL, EXIT_STANDING
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, python
+from shared.wire.operator import CLOCK_KEY, VIEW_KEY, Command, CommandEvent
 
 _STATUS_SECONDS = 0.1
+# A view that nobody opens does not hold the task for longer.
+_SEEN_SECONDS = 60.0
+_MAX_TYPED = 4
 # Looks for other stacks take milliseconds.
 _LOOK_SECONDS = 1.0
 
@@ -53,7 +66,9 @@ class Run:
     """The settings and the plan of a run, and the folder `out` for its files.
 
     `name` is the robot's name on the link, None for the name of its kind. `ready_fd` is set in the
-    background: the descriptor on which the run reports that it is ready.
+    background: the descriptor on which the run reports that it is ready. A run that `stays` goes on
+    until a signal. The commands of `scene` are given at their times. The task waits for a `seen`
+    view.
     """
 
     config: RunConfig
@@ -61,6 +76,22 @@ class Run:
     out: Path
     name: str | None
     ready_fd: int | None = None
+    stays: bool = False
+    scene: tuple[CommandEvent, ...] = ()
+    seen: bool = False
+
+
+def in_words(run: Run) -> list[str]:
+    """Return lines that say what a run would start: services, differing settings, commands."""
+    table = differing(settings_table(run.config), settings_table(RunConfig()))
+    settings = tomli_w.dumps(table).strip().splitlines() or ["all at their defaults"]
+    goes = "until Ctrl-C" if run.stays else f"for {run.config.duration:g} s of the task"
+    lines = [f"would run {goes}, as {run.name or run.config.robot.name}", "services, in order:"]
+    lines += [f"  {step.name:<7} python -m {' '.join(step.arguments)}" for step in run.plan.steps]
+    lines += ["settings:", *(f"  {line}" for line in settings)]
+    if run.scene:
+        lines += ["commands:", *(f"  {event}" for event in run.scene)]
+    return [*lines, *run.plan.notes, "nothing was started"]
 
 
 class StackRun:
@@ -70,7 +101,7 @@ class StackRun:
         self._run = run
         self._out = run.out
         self._folder = StackFolder(run.out)
-        self._status = status_of(run.config)
+        self._status = status_of(run.config, stays=run.stays)
         self._terminal = Terminal()
         self._supervisor = Supervisor(run.out, self._say, changed=self._publish)
         self._watched = run.plan.has(VIEWER)
@@ -80,7 +111,15 @@ class StackRun:
         self._let_go = False
         self._stop = asyncio.Event()
         # Without a robot here the run never ends by itself, so a signal is its normal end.
-        self._stopped_code = EXIT_INTERRUPTED if run.plan.has(ROBOT) else EXIT_STANDING
+        ends = run.plan.has(ROBOT) and not run.stays
+        self._stopped_code = EXIT_INTERRUPTED if ends else EXIT_STANDING
+        self._time = RobotTime()
+        self._sender: Sender
+        self._seen = asyncio.Event()
+        # Gives the terminal its keys back.
+        self._own_keys = contextlib.ExitStack()
+        # Commands from keys that have not been sent yet.
+        self._typed: asyncio.Queue[Command] = asyncio.Queue(maxsize=_MAX_TYPED)
         self._state = StackState(
             pid=os.getpid(),
             robot=run.name or run.config.robot.name,
@@ -98,7 +137,7 @@ class StackRun:
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             ending.append(signal.SIGHUP)
         for number in ending:
-            loop.add_signal_handler(number, self._stop.set)
+            loop.add_signal_handler(number, self._request_stop)
         with self._claimed(), private_socket(self._folder.folder) as telemetry:
             for line in (f"run folder: {self._out}", *self._run.plan.notes):
                 self._terminal.tell(line)
@@ -106,16 +145,21 @@ class StackRun:
             robot = self._run.config.robot.name
             hub = open_hub(telemetry, self._status, robot, out=self._out)
             self._put(STARTING, hub=telemetry)
+            hub.subscribe(CLOCK_KEY, self._time.take)
+            hub.subscribe(VIEW_KEY, partial(self._note_view, loop))
+            self._sender = Sender(CommandClient(hub), partial(self._say, "up"))
             failure: LinkError | None = None
             code = EXIT_ERROR
             try:
                 async with ControlServer(self._folder, self._supervisor.restart):
-                    code = await self._play()
+                    with self._keys():
+                        code = await self._play()
             except LinkError as error:
                 failure = error
             finally:
                 self._terminal.clear()
                 self._put(STOPPING)
+                self._end_at_interrupt()
                 await self._supervisor.stop()
             # Events of the last rows, which have come since the robot ended.
             for event in self._status.take_events():
@@ -129,6 +173,27 @@ class StackRun:
                 outcome = self._last_words(code)
             self._put(STOPPING, outcome=outcome, exit_code=code)
             return code
+
+    def _request_stop(self) -> None:
+        self._stop.set()
+        self._end_at_interrupt()
+
+    def _end_at_interrupt(self) -> None:
+        """Let the next Ctrl-C end everything at once, also while this process waits for another."""
+
+        def end(number: int, frame: FrameType | None) -> NoReturn:
+            self._supervisor.kill()
+            self._own_keys.close()
+            # The signal may have come while this very terminal or file was written.
+            with contextlib.suppress(Exception):
+                self._put(ENDED, outcome="ended at once by Ctrl-C", exit_code=EXIT_INTERRUPTED)
+                hint = wbc(f"viewer open {self._out}")
+                self._terminal.tell(f"ended at once; {hint} reads what the services have written")
+            os._exit(EXIT_INTERRUPTED)
+
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            asyncio.get_running_loop().remove_signal_handler(signal.SIGINT)
+            signal.signal(signal.SIGINT, end)
 
     def _last_words(self, code: int) -> str:
         """Return the outcome of a run without a summary: the robot's own last line."""
@@ -167,6 +232,8 @@ class StackRun:
             if HELD in step.service.takes:
                 await self._supervisor.load(self._launch(step))
         for step in self._run.plan.steps:
+            if step.name == ROBOT:
+                await self._until_seen()
             starting = asyncio.create_task(self._supervisor.start(self._launch(step)))
             stopping = asyncio.create_task(self._stop.wait())
             await asyncio.wait({starting, stopping}, return_when=asyncio.FIRST_COMPLETED)
@@ -184,13 +251,73 @@ class StackRun:
             self._look(again=True)
         self._put(READY)
         self._tell_ready()
-        return await self._watch()
+        giving = [
+            asyncio.create_task(play(self._run.scene, self._time, self._sender)),
+            asyncio.create_task(self._send_typed()),
+        ]
+        try:
+            return await self._watch()
+        finally:
+            for task in giving:
+                task.cancel()
+
+    def _note_view(self, loop: asyncio.AbstractEventLoop, delivery: Delivery) -> None:
+        """Note that somebody sees the view; called on the bus's thread."""
+        loop.call_soon_threadsafe(self._seen.set)
+
+    async def _until_seen(self) -> None:
+        """Wait until somebody sees the view, or presses Enter, or for `_SEEN_SECONDS`."""
+        if not (self._run.seen and self._watched) or self._stop.is_set():
+            return
+        self._say(
+            "up",
+            f"the task begins once the view is open, or with Enter; at most {_SEEN_SECONDS:g} s",
+        )
+        waits = {asyncio.create_task(each.wait()) for each in (self._seen, self._stop)}
+        await asyncio.wait(waits, timeout=_SEEN_SECONDS, return_when=asyncio.FIRST_COMPLETED)
+        for wait in waits:
+            wait.cancel()
+
+    def _take_keys(self) -> None:
+        """Take in the keys that were typed. While too many wait, further ones are dropped."""
+        typed = typed_keys()
+        if not typed:
+            asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
+        commands, enter = commands_of(typed)
+        if enter:
+            self._seen.set()
+        for command in commands:
+            with contextlib.suppress(asyncio.QueueFull):
+                self._typed.put_nowait(command)
+
+    async def _send_typed(self) -> None:
+        while True:
+            await self._sender.send(await self._typed.get())
+
+    @contextlib.contextmanager
+    def _keys(self) -> Iterator[None]:
+        """Take keys from the terminal while the context lasts, if this is its foreground."""
+        plan = self._run.plan
+        if self._run.ready_fd is not None or not plan.has(ROBOT) or not has_keys():
+            yield
+            return
+        self._terminal.tell(keys_in_words(link=plan.has(NETEM)))
+        loop, file = asyncio.get_running_loop(), sys.stdin.fileno()
+        with self._own_keys as context:
+            context.enter_context(each_key())
+            loop.add_reader(file, self._take_keys)
+            context.callback(loop.remove_reader, file)
+            yield
 
     def _tell_ready(self) -> None:
         """Report that the stack is ready; in the background, release the parent process."""
         if self._run.ready_fd is None:
             if not self._run.plan.has(ROBOT):
                 self._terminal.say("up", "started; Ctrl-C ends it")
+            elif self._run.stays:
+                examples = "link cut, link restore, controller lc, pause, reset"
+                self._terminal.say("up", f"goes on until Ctrl-C; try {wbc('push 100N +y')}")
+                self._terminal.say("up", f"or {examples}; see docs/hands-on.md")
             return
         self._terminal.say("up", f"ready; next: {wbc('ps')}, logs, restart or down")
         self._terminal.leave()
@@ -249,6 +376,8 @@ class StackRun:
             "secure": secure,
         }
         command = python("-m", *step.arguments)
+        if step.name == ROBOT and run.stays:
+            command += ["--stay"]
         for flag in step.service.takes:
             if flag == HELD:
                 command += [f"--{flag}"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,6 +28,8 @@ from shared.commands import wbc
 from shared.errors import ConfigError, LinkError, one_of
 
 _CANCEL_SECONDS = 0.1
+# A stop that takes longer says what it waits for.
+_TELL_SECONDS = 3.0
 
 
 @dataclass(frozen=True)
@@ -170,9 +172,28 @@ class Supervisor:
         children = [child for child in children if child.state != ENDED]
         for child in children:
             terminate(child.process)
+        telling = asyncio.create_task(self._tell_waiting(children))
         for child in children:
             await self._end(child)
             self._put(child, ENDED)
+        telling.cancel()
+
+    def kill(self) -> None:
+        """Kill all services at once, without waiting for their ends."""
+        for child in self._children.values():
+            if not child.over and child.process.returncode is None:
+                kill_group(child.process)
+
+    async def _tell_waiting(self, children: Sequence[_Child]) -> None:
+        """Tell after a while which services have not ended yet."""
+        await asyncio.sleep(_TELL_SECONDS)
+        left = [each for each in children if each.process.returncode is None]
+        if left:
+            names = ", ".join(f"{each.name} (pid {each.process.pid})" for each in left)
+            longest = max(each.launch.service.stop_seconds for each in left)
+            self._say(
+                "up", f"waits for {names} to end, at most {longest:g} s; Ctrl-C ends all at once"
+            )
 
     async def _begin(self, child: _Child) -> None:
         child.ready.clear()

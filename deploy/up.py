@@ -1,10 +1,12 @@
 """Start the stack, or the part of it that --only names, and wait for its end.
 
-Without --only everything runs on this machine: edge, netem, robot and viewer.
+Without --only everything runs on this machine: edge, netem, robot and viewer. Without any option it
+is a demonstration: a push, a stall and a cut link within 5 s. In a terminal the robot then stands,
+and takes commands, until Ctrl-C.
 
-Exit code 0: the robot finished standing. If no robot runs here: a signal ended the services. With
--d: all services are ready. 3: the robot fell. 130: a signal ended the robot's run. Any other code:
-an error, and its message says what to do.
+Exit code 0: the robot finished standing. With --stay, or if no robot runs here: a signal ended the
+services. With -d: all services are ready. 3: the robot fell. 130: a signal ended the robot's run.
+Any other code: an error, and its message says what to do.
 """
 
 from __future__ import annotations
@@ -17,10 +19,12 @@ import errno
 import itertools
 import socket
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from deploy.background.detach import in_background
 from deploy.background.registry import Registry
+from deploy.console.keys import has_keys
 from deploy.plan import (
     NETEM,
     ROBOT,
@@ -31,9 +35,10 @@ from deploy.plan import (
     make_plan,
     services_of,
 )
+from deploy.scene import DEMO
 from deploy.services import Service, load_services
-from deploy.stack import Run, StackRun
-from netem.networks import load_network
+from deploy.stack import Run, StackRun, in_words
+from netem.networks import load_network, profile_of
 from shared.commands import wbc
 from shared.config.config_file import dump_config
 from shared.config.extensions import CONTROLLERS, TASKS
@@ -42,9 +47,18 @@ from shared.errors import ConfigError, LinkError, writing
 from shared.motion.plan import make_motion
 from shared.output.screen import has_screen
 from shared.output.versions import versions
-from shared.process.cli import add_run_arguments, add_view_argument, config_from
+from shared.process.cli import (
+    EXIT_STANDING,
+    add_run_arguments,
+    add_view_argument,
+    config_from,
+)
 from shared.process.service import add_identity_arguments
 from shared.robots import load_robot
+from shared.wire.operator import CommandEvent, LinkCommand, read_events
+
+# Options, and what the parser adds, that leave the run itself as it is.
+_NOT_OF_THE_RUN = {"view", "out", "dry_run", "parser", "run_command"}
 
 
 def run_up(arguments: argparse.Namespace) -> int:
@@ -58,6 +72,9 @@ def run_up(arguments: argparse.Namespace) -> int:
 def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd: int | None) -> int:
     """Play the run that the arguments describe. Return its exit code."""
     config = config_from(arguments)
+    demo = _is_demo(arguments)
+    attended = not arguments.detach and has_keys()
+    scene = DEMO if demo else () if arguments.events is None else read_events(arguments.events)
     chosen = services_of(declared, arguments.only, direct=config.link.network == "direct")
     services = tuple(service.name for service in chosen)
     if NETEM not in services:
@@ -84,14 +101,27 @@ def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd:
     plan = make_plan(options, chosen, view=view, free_port=iter(_free_ports(2)).__next__)
     robot = config.robot.name if arguments.name is None else arguments.name
     check_credentials(plan, robot=robot)
+    _check_scene(scene, plan)
+    described = Run(
+        config,
+        plan,
+        Path(),
+        arguments.name,
+        ready_fd,
+        stays=arguments.stay or (demo and attended),
+        scene=scene,
+        seen=attended and view not in ("off", "record"),
+    )
+    if arguments.dry_run:
+        print(*in_words(described), sep="\n")
+        return EXIT_STANDING
     _check_port(plan)
     if arguments.detach:
         Registry().check(None, robot=robot, services=plan.names)
     out = _run_folder(arguments.out, config, services)
     if VIEWER in services and view == "off" and config.view == "auto":
         print("no screen: the run is recorded, not shown (--view web for a browser)", flush=True)
-    described = Run(config, plan, out, arguments.name, ready_fd)
-    return asyncio.run(StackRun(described).run())
+    return asyncio.run(StackRun(dataclasses.replace(described, out=out)).run())
 
 
 def add_up_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,6 +137,22 @@ def add_up_arguments(parser: argparse.ArgumentParser) -> None:
         "--detach",
         action="store_true",
         help="return when everything is ready; see ps, logs, restart and down",
+    )
+    parser.add_argument(
+        "--stay",
+        action="store_true",
+        help="go on until Ctrl-C, longer than --duration; after a fall wait for a reset",
+    )
+    parser.add_argument(
+        "--events",
+        metavar="FILE",
+        type=Path,
+        help="commands at times of the task, one a line, as in '2.5s link cut'",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="print the services, their order and their settings; start nothing",
     )
     group = parser.add_argument_group(
         "several machines (docs/real-network.md); ENDPOINT: tls/HOST:PORT, or tcp, quic"
@@ -133,6 +179,26 @@ def add_up_arguments(parser: argparse.ArgumentParser) -> None:
         "certificates: on loopback)",
     )
     add_identity_arguments(group)
+
+
+def _is_demo(arguments: argparse.Namespace) -> bool:
+    """Return whether no option describes the run; where it is shown does not matter."""
+    options = vars(arguments).items()
+    given = {name for name, value in options if value not in (None, False)}
+    return arguments.view != "off" and given <= _NOT_OF_THE_RUN
+
+
+def _check_scene(scene: Sequence[CommandEvent], plan: Plan) -> None:
+    """Raise `UserError` if a command of the scene cannot be carried out here."""
+    for event in scene:
+        service = NETEM if isinstance(event.command, LinkCommand) else ROBOT
+        if not plan.has(service):
+            raise ConfigError(
+                f"events: {event.command}: expected {service} among the services, got "
+                f"{', '.join(plan.names)}; leave this line out"
+            )
+        if isinstance(event.command, LinkCommand):
+            profile_of(event.command)
 
 
 def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) -> Path:

@@ -51,7 +51,7 @@ def _in_markdown(section: Section) -> str:
 
 
 def _line(key: str, setting: Setting) -> tuple[str, ...]:
-    name = f"`{key.rpartition('.')[2]}`" + (f", `{setting.flag}`" if setting.flag else "")
+    name = ", ".join(f"`{each}`" for each in (key.rpartition(".")[2], *setting.flags))
     default = f"`{json.dumps(setting.default)}` {setting.unit}".rstrip()
     words = [f"`{word}`" for word in setting.words]
     if isinstance(setting.choices, Extensions):

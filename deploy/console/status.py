@@ -29,15 +29,19 @@ _LONGEST, _SHORTEST = 40, 8
 class Status:
     """The newest rows that the services publish, and the events in them.
 
-    `ticks` are the columns of the robot's rows. `refused` counts the blocks that cannot be used.
+    `ticks` are the columns of the robot's rows. `refused` counts the blocks that cannot be used. A
+    run that `stays` has no end.
     """
 
-    def __init__(self, ticks: Schema, *, duration: float, walks: bool = False) -> None:
+    def __init__(
+        self, ticks: Schema, *, duration: float, walks: bool = False, stays: bool = False
+    ) -> None:
         self.events = Events()
         self.refused = 0
         self._ticks = ticks
         self._duration = duration
         self._walks = walks
+        self._stays = stays
         self._rows: np.ndarray | None = None
         self._delay_ms: list[float | None] = [None, None]
         self._lost = [False, False]
@@ -83,7 +87,7 @@ class Status:
         return self.events.take()
 
     def line(self, columns: int = 160) -> str:
-        """Return a line of at most `columns` characters. Less important parts are left out.
+        """Return a line of at most `columns` characters. Bars shrink first, then words.
 
         Until the robot has begun, the line says that it waits.
         """
@@ -94,34 +98,42 @@ class Status:
         time_ns = last["time_ns"]
         if time_ns < 0:
             return "robot waits for its first projector"[:columns]
-        source, age_ns = Source(last["source"]).label, last["projector_age_ns"]
-        before = f"t {time_ns * 1e-9:5.2f}/{self._duration:g} s | {source:<9}"
-        link = f" | link up {self._way(0)} down {self._way(1)} ms "
-        after = " push!" if np.any(schema.column(rows, "push_n")) else ""
-        parts = [f"projector age {age_ns * 1e-6:.1f} ms"] if age_ns >= 0 else []
-        parts.append(f"CoM error {100 * last['com_error_m']:.1f} cm")
-        if self._walks:
-            parts.append(f"{ContactMode(int(last['mode'])).label:<10}")
-        parts.append(f"overruns {int(last['overruns'])}")
-        if self.refused:
-            parts.append(f"{self.refused} blocks refused")
-        room = columns - len(before + link + after)
-        shortest = _SHORTEST if self._delays_ms else 0
-        for part in parts:
-            if room - len(part) - 3 < shortest:
-                break
-            after += f" | {part}"
-            room -= len(part) + 3
-        if shortest and room > 0:
-            longest = min(room, _LONGEST)
-            link += sparkline(list(self._delays_ms)[-longest:]).ljust(longest)
-        return (before + link + after)[:columns]
+        source, age_ms = Source(last["source"]).label, last["projector_age_ns"] * 1e-6
+        at = f"t {time_ns * 1e-9:5.2f}" + ("" if self._stays else f"/{self._duration:g}") + " s"
+        up, down = self._way(0), self._way(1)
+        com_cm, overruns = 100 * last["com_error_m"], int(last["overruns"])
+        pushed = " push!" if np.any(schema.column(rows, "push_n")) else ""
+        mode = ContactMode(int(last["mode"])).label if self._walks else ""
+        refused = f"{self.refused} blocks refused" if self.refused else ""
+        long = _joined(
+            " | ",
+            (f"{at} | {source:<9} | link up {up} down {down} ms", pushed),
+            f"projector age {age_ms:.1f} ms" if age_ms >= 0 else "",
+            f"CoM error {com_cm:.1f} cm",
+            f"{mode:<10}" if mode else "",
+            f"overruns {overruns}",
+            refused,
+        )
+        short = _joined(
+            "  ",
+            (f"{at}  {source}  {up}/{down} ms", pushed),
+            f"age {age_ms:.0f} ms" if age_ms >= 0 else "",
+            f"CoM {com_cm:.1f} cm",
+            f"overruns {overruns}",
+            mode,
+            refused,
+        )
+        before, after = long if len(long[0] + long[1]) <= columns else short
+        room = min(columns - len(before + after) - 1, _LONGEST)
+        if self._delays_ms and room >= _SHORTEST:
+            before += f" {sparkline(list(self._delays_ms)[-room:]).ljust(room)}"
+        return (before + after)[:columns]
 
     def _way(self, direction: int) -> str:
         if self._lost[direction]:
             return "lost"
         delay_ms = self._delay_ms[direction]
-        return "-" if delay_ms is None else f"{delay_ms:.1f}"
+        return "-" if delay_ms is None else f"{delay_ms:.{1 if delay_ms < 100 else 0}f}"
 
     def _round_trip_ms(self, rows: np.ndarray) -> float | None:
         """Return the round trip [ms], or the time without a message if an outage makes it longer.
@@ -149,6 +161,11 @@ def _check_finite(schema: Schema, rows: np.ndarray, names: Iterable[str]) -> Non
     if "source" in schema.slices:
         for source in np.unique(schema.column(rows, "source")):
             Source(source)
+
+
+def _joined(separator: str, ends: tuple[str, str], *parts: str) -> tuple[str, str]:
+    """Return the text before and after the bars, whose ends these are; empty parts are left out."""
+    return ends[0], separator.join([ends[1], *(part for part in parts if part)])
 
 
 def sparkline(delays_ms: Iterable[float]) -> str:

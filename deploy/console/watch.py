@@ -100,11 +100,11 @@ def _sum_up(out: Path, config: RunConfig) -> None:
     print(words, flush=True)
 
 
-def status_of(config: RunConfig) -> Status:
-    """Return the status line for a run."""
+def status_of(config: RunConfig, *, stays: bool = False) -> Status:
+    """Return the status line for a run; one that `stays` has no end."""
     model = load_robot(config.robot.name).model
     ticks = tick_schema(nq=model.nq, nv=model.nv)
-    return Status(ticks, duration=config.duration, walks=config.task == "walk")
+    return Status(ticks, duration=config.duration, walks=config.task == "walk", stays=stays)
 
 
 @contextlib.contextmanager

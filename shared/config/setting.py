@@ -29,8 +29,8 @@ class Setting:
 
     A number has to be within its bounds, and finite unless it `may_be_infinite`. A word has to be
     one of `choices`, which is a function if the words take long to find, and `Extensions` if others
-    may add some. `flag` is the option on the command line, `metavar` an example of its value, and
-    `read` makes the value from its text.
+    may add some. `flag` is the option on the command line, `short` another name for it, `metavar`
+    an example of its value, and `read` makes the value from its text.
     """
 
     default: Any
@@ -42,6 +42,7 @@ class Setting:
     may_be_infinite: bool = False
     choices: Sequence[str] | Callable[[], Sequence[str]] | Extensions = ()
     flag: str = ""
+    short: str = ""
     metavar: str | None = None
     read: Callable[[str], Any] | None = None
 
@@ -49,6 +50,11 @@ class Setting:
     def kind(self) -> type:
         """The type of the setting's values."""
         return type(self.default)
+
+    @property
+    def flags(self) -> list[str]:
+        """The setting's options on the command line, the longer one first."""
+        return [name for name in (self.flag, self.short) if name]
 
     @property
     def words(self) -> Sequence[str]:

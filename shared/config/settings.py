@@ -459,6 +459,7 @@ class RunConfig:
         at_least=1e-3,
         below=1e6,
         flag="--duration",
+        short="--for",
     )
     seed: int = setting(
         0, help="seed of noise, loss and the profile's starting point", at_least=0, flag="--seed"

@@ -181,7 +181,7 @@ def _add_flag(group: argparse._ActionsContainer, setting: Setting) -> None:
         options |= {"action": "append", "metavar": setting.metavar}
     else:
         options |= {"type": _reader(setting), "metavar": setting.metavar}
-    group.add_argument(setting.flag, **options)
+    group.add_argument(*setting.flags, **options)
 
 
 def _reader(setting: Setting) -> Callable[[str], Any]:

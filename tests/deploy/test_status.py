@@ -160,13 +160,25 @@ def test_the_line_is_as_wide_as_it_may_be(status):
         assert len(status.line(columns)) <= columns
 
 
-def test_on_a_narrow_terminal_the_delay_stays_and_the_rest_goes(status):
+def test_at_eighty_columns_delay_age_error_and_overruns_are_there(status):
     narrow = status.line(79)
-    assert "link up 10.0 down - ms ▃▃▃▃▃▃▃▃" in narrow
-    assert "projector age" not in narrow
-    wider = status.line(100)
-    assert "▃ | projector age 20.0 ms" in wider
-    assert "overruns" not in wider
+    for part in ("10.0/- ms", "age 20 ms", "CoM 0.0 cm", "overruns 0", "left foot"):
+        assert part in narrow
+    assert "▃" * 8 not in narrow
+    wide = status.line(110)
+    assert "10.0/- ms ▃▃▃▃▃▃▃▃" in wide
+    assert "overruns 0" in wide
+
+
+def test_at_eighty_columns_a_slow_link_leaves_no_number_out(status):
+    link = messages(*((3000 + k, 1234.5) for k in range(100)))
+    link = np.concatenate([link, messages(*((3000 + k, 1234.5) for k in range(100)), direction=1)])
+    status.take_link(Delivery(encode_rows(LINK_SCHEMA, link), envelope=None))
+    rows = ticks(600_000, 600_099, source=5, projector_age_ns=9e10, overruns=99_999)
+    status.take_ticks(Delivery(encode_rows(TICKS, rows), envelope=None))
+    narrow = status.line(79)
+    for part in ("1234/1234 ms", "age 90000 ms", "CoM 0.0 cm", "overruns 99999"):
+        assert part in narrow
 
 
 def test_a_link_that_passes_nothing_is_a_growing_bar(status):
