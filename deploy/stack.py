@@ -161,6 +161,8 @@ class StackRun:
                 self._put(STOPPING)
                 self._end_at_interrupt()
                 await self._supervisor.stop()
+            if self._run.stays and self._fell():
+                code = EXIT_FELL
             # Events of the last rows, which have come since the robot ended.
             for event in self._status.take_events():
                 self._terminal.say(event.name, event.text)
@@ -173,6 +175,11 @@ class StackRun:
                 outcome = self._last_words(code)
             self._put(STOPPING, outcome=outcome, exit_code=code)
             return code
+
+    def _fell(self) -> bool:
+        """Return whether the robot has ended and had fallen."""
+        ends = {each.name: each.exit_code for each in self._supervisor.states()}
+        return ends.get(ROBOT) == EXIT_FELL
 
     def _request_stop(self) -> None:
         self._stop.set()

@@ -106,6 +106,11 @@ class LiveLoop:
         return [name for name, counts in by_sender.items() if counts["taken"]]
 
     @property
+    def fallen(self) -> bool:
+        """Return whether the robot has fallen, and simulated time stands still."""
+        return self._node.fallen and self._stays
+
+    @property
     def sensor_faults(self) -> dict[str, int]:
         """Samples held over so far, by the sensor."""
         return dict(self._node.sensor_guard.faults)
@@ -259,6 +264,7 @@ class Narrator:
 
     def _watch(self) -> None:
         running, stale_since, holding, stopping, ended = False, 0.0, False, False, False
+        fallen = False
         reported = {_OVERTAKEN}
         faulty: set[str] = set()
         answering = 1
@@ -271,6 +277,9 @@ class Narrator:
                 running = True
                 self._say("first answer received: the task begins")
             at = f"{progress.time_ns * 1e-9:.2f} s"
+            if self._loop.fallen and not fallen:
+                self._say(f"{at}: the robot has fallen; `reset` puts it on its feet, Ctrl-C ends")
+            fallen = self._loop.fallen
             if progress.silence_ns > STALE_NS and not stale_since:
                 stale_since = time.monotonic()
                 self._say(

@@ -1,7 +1,7 @@
 """Two clocks behind one protocol, and a ticker on an absolute schedule.
 
 All times between modules are integer nanoseconds. A live run reads the machine's monotonic
-clock; a lockstep run moves a `SimClock` from event to event.
+clock, which a `ScaledClock` may slow down; a lockstep run moves a `SimClock` from event to event.
 """
 
 from __future__ import annotations
@@ -18,13 +18,6 @@ class Clock(Protocol):
     def now_ns(self) -> int:
         """Return the time since an arbitrary origin [ns]. It never goes back."""
         ...
-
-
-class MonotonicClock:
-    """The machine's monotonic clock, shared by all processes of one machine."""
-
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
 
 
 @dataclass

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.clock import MonotonicClock, SimClock, Ticker, sleep_until
+from shared.clock import ScaledClock, SimClock, Ticker, sleep_until
 
 MS = 1_000_000
 
@@ -21,12 +21,6 @@ def test_a_simulated_clock_stands_still_until_it_is_moved():
     assert clock.now_ns() == clock.now_ns() == 0
     clock.time_ns = 5
     assert clock.now_ns() == 5
-
-
-def test_the_monotonic_clock_goes_on():
-    clock = MonotonicClock()
-    before, now_ns, after = time.monotonic_ns(), clock.now_ns(), time.monotonic_ns()
-    assert before <= now_ns <= after
 
 
 def test_sleeping_never_ends_early():
@@ -94,3 +88,39 @@ def test_no_tick_of_the_schedule_goes_missing_uncounted(gaps):
         assert due_ns == (k + ticker.ticks_given_up) * MS
         assert now_ns - due_ns <= ticker.max_backlog_ns
         now_ns = max(now_ns, due_ns)
+
+
+def test_a_scaled_clock_is_the_monotonic_one_until_its_speed_is_set():
+    clock = ScaledClock()
+    assert clock.at(123_456_789_012_345_678) == 123_456_789_012_345_678
+    before, now_ns, after = time.monotonic_ns(), clock.now_ns(), time.monotonic_ns()
+    assert before <= now_ns <= after
+
+
+def test_a_scaled_clock_goes_on_slower_from_where_it_was():
+    clock = ScaledClock()
+    clock.origin = (1000, 500, 0.25)
+    assert clock.at(1000) == 500
+    assert clock.at(1400) == 600
+    clock.run_at(0.0)
+    stood_ns = clock.now_ns()
+    assert clock.now_ns() == stood_ns
+    clock.run_at(1.0)
+    monotonic_ns, own_ns, _ = clock.origin
+    assert own_ns == stood_ns
+    assert clock.at(monotonic_ns + 7) == stood_ns + 7
+
+
+@pytest.mark.parametrize("speed", [0.25, 1.0])
+def test_sleeping_on_a_scaled_clock_never_ends_early(speed):
+    clock = ScaledClock()
+    clock.run_at(speed)
+    due_ns = clock.now_ns() + MS
+    clock.sleep_until(due_ns)
+    assert clock.now_ns() >= due_ns
+
+
+def test_a_clock_that_stands_still_is_not_slept_for():
+    clock = ScaledClock()
+    clock.run_at(0.0)
+    clock.sleep_until(clock.now_ns() + 10**18)

@@ -37,6 +37,8 @@ _VERSION = 1
 _MAX_TEXT = 300
 _MAX_BYTES = 1_000
 _MAX_FILE_BYTES = 10_000_000
+# Of bytes that another program may have sent.
+_UNREADABLE = (msgpack.UnpackException, TypeError, ValueError, OverflowError)
 # More is a typing error, or breaks the robot.
 _MAX_FORCE, _MAX_PUSH_NS = 10_000.0, 60_000_000_000
 _PUSH_FOR = "0.2s"
@@ -417,7 +419,7 @@ def decode_answer(data: bytes) -> Accepted | str:
             return str(value)
         time_ns, note = value
         return Accepted(int(time_ns), str(note))
-    except (msgpack.UnpackException, TypeError, ValueError):
+    except _UNREADABLE:
         raise ConfigError("command: expected an answer of this version of the software") from None
 
 
@@ -433,7 +435,7 @@ def decode_event(data: bytes) -> tuple[CommandEvent, int]:
             raise ValueError
         time_ns, text, wall_ns = msgpack.unpackb(data)
         return CommandEvent(int(time_ns), parse_command(str(text))), int(wall_ns)
-    except (msgpack.UnpackException, TypeError, ValueError, ConfigError):
+    except (*_UNREADABLE, ConfigError):
         raise MessageRefused("event", "expected a command and its time") from None
 
 
@@ -444,6 +446,6 @@ def _unpacked(data: bytes, kind: type) -> tuple[object, str]:
         version, value = msgpack.unpackb(data)
         if not isinstance(value, kind):
             raise ValueError
-    except (msgpack.UnpackException, TypeError, ValueError):
+    except _UNREADABLE:
         raise ConfigError("command: expected a message of this version of the software") from None
     return version, str(value)

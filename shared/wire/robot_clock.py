@@ -14,6 +14,8 @@ from shared.errors import MessageRefused
 from shared.wire.operator import TICK_NS
 
 _MAX_BYTES = 100
+# Of bytes that another program may have sent.
+_UNREADABLE = (msgpack.UnpackException, TypeError, ValueError, OverflowError)
 
 
 @dataclass(frozen=True)
@@ -56,5 +58,5 @@ def decode_clock(data: bytes) -> ClockReading:
         if not 0.0 <= float(speed) <= 1.0:
             raise ValueError
         return ClockReading(monotonic_ns, own_ns, float(speed), int(now_ns), int(task_ns))
-    except (msgpack.UnpackException, TypeError, ValueError):
+    except _UNREADABLE:
         raise MessageRefused("clock", "expected a reading of the robot's clock") from None
