@@ -238,7 +238,8 @@ class RobotNode:
     def advance(self, command: Command, row: np.ndarray | None = None) -> None:
         """End the tick: check for a fall, fill the telemetry row, and step the plant.
 
-        Before the first answer the plant stands still. `row` is filled if it is given.
+        Before the first answer, and after a fall, the plant stands still. `row` is filled if it is
+        given.
         """
         com, soles = self._model.com_and_soles(self._true_state[0])
         self.fallen = has_fallen(
@@ -253,7 +254,8 @@ class RobotNode:
         self.tick += 1
         if not self.running:
             return
-        self._plant.step(command.tau, push=push)
+        if not self.fallen:
+            self._plant.step(command.tau, push=push)
         self.time_ns += self._config.loop.period_ns
 
     def _moment(

@@ -88,7 +88,8 @@ def test_of_a_flood_the_server_sees_few(dial: Dial, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(operator, "_PAUSE_SECONDS", 0.0)
     CommandServer(dial(), LINK_COMMANDS_KEY, carry_out)
-    bus, ends = dial(), []
+    bus = dial()
+    ends: list[object] = []
 
     def ask() -> None:
         bus._session.get(LINK_COMMANDS_KEY, ends.append, payload=encode_command(Cut()))

@@ -382,3 +382,22 @@ def test_what_cannot_be_started_again_says_why(tmp_path: Path, name: str, messag
         assert run.supervisor.running("robot")
 
     played(tmp_path, scenario)
+
+
+def test_a_stop_that_takes_long_says_what_it_waits_for_and_can_be_cut_short(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(supervisor, "_TELL_SECONDS", 0.05)
+
+    async def scenario(run: Run):
+        await run.start("netem", SLEEPS)
+        await run.start("edge", "print('READY', flush=True); " + DEAF)
+        stopping = asyncio.create_task(run.supervisor.stop())
+        waits = "up: waits for edge (pid "
+        while not any(line.startswith(waits) for line in run.output):
+            await asyncio.sleep(0.01)
+        assert "to end, at most 60 s; Ctrl-C ends all at once" in run.output[-1]
+        run.supervisor.kill()
+        await stopping
+
+    played(tmp_path, scenario)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from netem.delay_line import DelayLine
 from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
 from shared.config.quantities import parse_outage
+from shared.wire.operator import AddDelay, ReplaceProfile, parse_command
 
 MS = 1_000_000
 # In tenths of a millisecond: drawn in nanoseconds, most would be too short to overtake anything.
@@ -235,3 +236,65 @@ def test_after_a_cut_nothing_arrives_but_what_was_under_way_does():
     assert line.push("long after", sent_ns=10_000 * MS) is None
     assert line.lost == 2
     assert [due.item for due in line.pop_due(14 * MS)] == ["before"]
+
+
+def commanded(line, *texts, now_ns, profile=None):
+    for text in texts:
+        line.change(parse_command(text), now_ns=now_ns, profile=profile, place_ns=0)
+
+
+def due_ms(line, sent_ms):
+    """Delays of messages sent at these times [ms]; None if lost."""
+    due = [line.push(0, sent_ns=round(sent * MS)) for sent in sent_ms]
+    return [None if at is None else at / MS - sent for at, sent in zip(due, sent_ms, strict=True)]
+
+
+def test_a_cut_link_loses_everything_until_it_is_restored():
+    line = make_line([10 * MS])
+    assert due_ms(line, [0, 1]) == [10, 10]
+    commanded(line, "link cut", now_ns=2 * MS)
+    assert due_ms(line, [1.9, 2, 5000]) == [10, None, None]
+    commanded(line, "link restore", now_ns=6000 * MS)
+    assert due_ms(line, [6000]) == [10]
+
+
+def test_an_outage_by_command_holds_messages_until_its_end():
+    line = make_line([10 * MS], keep_order=False)
+    commanded(line, "link outage 300ms", now_ns=100 * MS)
+    assert due_ms(line, [99, 100, 250, 400]) == [10, 310, 160, 10]
+
+
+@pytest.mark.parametrize(("direction", "added"), [(UPLINK, 41), (DOWNLINK, 40)])
+def test_an_added_delay_is_half_of_it_each_way_until_it_is_restored(direction, added):
+    line = make_line([10 * MS], direction)
+    line.change(AddDelay(81 * MS), now_ns=0, profile=None, place_ns=0)
+    assert due_ms(line, [0]) == [pytest.approx(10 + added, abs=0.51)]
+    commanded(line, "link restore", now_ns=MS)
+    assert due_ms(line, [1000]) == [10]
+
+
+def test_loss_by_command_ends_with_the_one_of_the_settings():
+    line = make_line([0], loss=0.5)
+    commanded(line, "link loss 0%", now_ns=0)
+    assert None not in due_ms(line, range(100))
+    commanded(line, "link loss 90%", now_ns=0)
+    assert 70 < due_ms(line, range(100, 200)).count(None) < 100
+    commanded(line, "link restore", now_ns=200 * MS)
+    assert 30 < due_ms(line, range(200, 300)).count(None) < 70
+
+
+def test_another_profile_begins_at_its_place_when_it_is_given():
+    line = make_line([10 * MS], start_ns=50 * MS, keep_order=False)
+    other = DelayProfile("other", np.array([[1 * MS, 2 * MS, 3 * MS]] * 2))
+    assert due_ms(line, [59]) == [10]
+    line.change(ReplaceProfile("other"), now_ns=60 * MS, profile=other, place_ns=1 * MS)
+    assert due_ms(line, [60, 61, 62, 63]) == [2, 3, 1, 2]
+
+
+def test_the_memory_of_outages_is_bounded():
+    line = make_line([MS])
+    for k in range(1000):
+        commanded(line, "link outage 10s", "link cut", now_ns=k * MS)
+    assert len(line._outages) <= 101
+    commanded(line, "link restore", now_ns=1000 * MS)
+    assert line._outages == ()

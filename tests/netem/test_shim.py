@@ -14,9 +14,12 @@ from netem.networks import constant_profile
 from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
 from netem.shim import Shim, Sides
 from shared.bus.base import Delivery, Envelope
+from shared.clock import ScaledClock
 from shared.config.settings import LinkConfig
+from shared.errors import LinkError
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import LINK_SCHEMA
+from shared.wire.operator import Cut, ReplaceProfile, Restore
 from tests.processes import PATIENCE_SECONDS, until
 
 MS = 1_000_000
@@ -234,3 +237,48 @@ def test_what_the_profile_loses_is_logged_and_not_forwarded() -> None:
     achieved, way = bench.column("achieved_ns"), bench.column("direction")
     assert np.all(achieved[way == UPLINK] == -1)
     assert np.all(achieved[way == DOWNLINK] >= MS)
+
+
+def test_delays_scale_with_simulated_time_and_stand_still_with_it() -> None:
+    bench = Bench(constant_profile("constant:20ms/20ms"))
+    with bench.running():
+        bench.send(UPLINK, 0, sent_ns=time.monotonic_ns())
+        bench.outlets[UPLINK].wait_for(1)
+        clock = ScaledClock()
+        clock.run_at(0.25)
+        bench.shim.set_time(clock.origin)
+        begun_ns = time.monotonic_ns()
+        bench.send(UPLINK, 1, sent_ns=begun_ns)
+        (_, left_ns) = bench.outlets[UPLINK].wait_for(2)[1]
+        assert left_ns - begun_ns >= 80 * MS
+        clock.run_at(0.0)
+        bench.shim.set_time(clock.origin)
+        bench.send(UPLINK, 2, sent_ns=time.monotonic_ns())
+        resumed_ns = time.monotonic_ns()
+        clock.run_at(1.0)
+        bench.shim.set_time(clock.origin)
+        (_, left_ns) = bench.outlets[UPLINK].wait_for(3)[2]
+        # The whole delay is still to come after the pause.
+        assert left_ns - resumed_ns >= 20 * MS
+    # In the robot's time each message had the delay of the profile.
+    assert list(bench.column("nominal_ns")) == [20 * MS] * 3
+    assert np.all(bench.column("achieved_ns") >= 20 * MS)
+
+
+def test_a_command_holds_for_the_messages_sent_after_it() -> None:
+    bench = Bench(constant_profile("constant:2ms/2ms"))
+    with pytest.raises(LinkError, match="no message has come to the link yet"):
+        bench.shim.change(Cut(), None)
+    with bench.running():
+        bench.send(UPLINK, 0, sent_ns=time.monotonic_ns())
+        bench.outlets[UPLINK].wait_for(1)
+        bench.shim.change(Cut(), None)
+        bench.send(UPLINK, 1, sent_ns=time.monotonic_ns())
+        bench.send(DOWNLINK, 0, sent_ns=time.monotonic_ns())
+        bench.shim.change(Restore(), None)
+        bench.shim.change(ReplaceProfile("x"), constant_profile("constant:4ms/6ms"))
+        bench.send(UPLINK, 2, sent_ns=time.monotonic_ns())
+        bench.send(DOWNLINK, 1, sent_ns=time.monotonic_ns())
+        assert [number for number, _ in bench.outlets[UPLINK].wait_for(2)] == [0, 2]
+        assert [number for number, _ in bench.outlets[DOWNLINK].wait_for(1)] == [1]
+    assert sorted(bench.column("nominal_ns")) == [0, 0, 2 * MS, 4 * MS, 6 * MS]

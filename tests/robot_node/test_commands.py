@@ -1,0 +1,134 @@
+"""An operator's commands on the robot, tick by tick, and the pace of simulated time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_node.controllers import LocallyAssisted, PurelyRemote
+from robot_node.corrected import LocallyCorrected
+from robot_node.pace import Pace
+from shared.errors import ConfigError
+from shared.telemetry.schema import Source
+from shared.wire.operator import (
+    Pause,
+    Reset,
+    Resume,
+    RobotCommand,
+    Speed,
+    Step,
+    SwitchController,
+    parse_command,
+)
+from tests.robot_node.bench import MS, SESSION, Bench, nothing
+
+
+@pytest.fixture
+def bench(robot, motion, configured):
+    def build(**overrides):
+        return Bench(robot, motion, configured(**{"push": [], **overrides}))
+
+    return build
+
+
+def given(bench: Bench, text: str) -> None:
+    command = parse_command(text)
+    assert isinstance(command, RobotCommand)
+    bench.robot.prepare(command)()
+
+
+def test_a_push_acts_from_the_next_tick_for_its_time_beside_those_of_the_settings(bench):
+    played = bench(push=["10N@0.004s:0.003s:+y"]).run(3)
+    given(played, "push 60N -x --for 2ms")
+    played.run(4)
+    forces = played.column("push_n")
+    np.testing.assert_array_equal(forces[:, 0], [0, 0, 0, -60, -60, 0, 0])
+    np.testing.assert_array_equal(forces[:, 1], [0, 0, 0, 0, 10, 10, 10])
+
+
+def test_the_memory_of_pushes_is_bounded(bench):
+    played = bench().run(1)
+    for _ in range(50):
+        given(played, "push 1N +x --for 1s")
+    assert len(played.robot._pushes) <= 25
+    played.run(1)
+    assert played.column("push_n")[-1, 0] >= 20
+
+
+KINDS = {"pr": PurelyRemote, "la": LocallyAssisted, "lc": LocallyCorrected}
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [("la", "pr"), ("pr", "la"), ("la", "lc"), ("lc", "la")]
+)
+def test_another_controller_takes_over_with_its_first_answer(bench, before, after):
+    played = bench(controller=before).run(3)
+    given(played, f"controller {after}")
+    # Without answers the present controller goes on with what it has.
+    played.run(5, deliver=nothing)
+    assert isinstance(played.robot.controller, KINDS[before])
+    assert Source.HELD not in [command.source for command in played.commands]
+    # The edge sends a lost factorisation again after 100 ms.
+    played.run(110)
+    assert isinstance(played.robot.controller, KINDS[after])
+    assert Source.HELD not in [command.source for command in played.commands]
+    # Answers of the last controller's kind are no fault of the edge.
+    assert played.robot.cache.refused == {}
+
+
+def test_a_controller_that_does_not_exist_is_refused_and_changes_nothing(bench):
+    played = bench().run(2)
+    with pytest.raises(ConfigError, match="expected a module that can be imported"):
+        played.robot.prepare(SwitchController("no.such.module:Mine"))
+    assert isinstance(played.robot.controller, LocallyAssisted)
+
+
+def test_after_a_reset_the_robot_stands_as_at_the_beginning_and_its_time_goes_on(bench, robot):
+    played = bench().run(5)
+    given(played, "push 3000N +x --for 150ms")
+    played.run(160)
+    assert np.abs(played.robot._plant.state()[0][0] - robot.q_standing[0]) > 0.05
+    faults = played.robot.sensor_guard.faults.total()
+    given(played, "reset")
+    q, v = played.robot._plant.state()
+    np.testing.assert_allclose(q, robot.q_standing, atol=1e-12)
+    np.testing.assert_array_equal(v, 0.0)
+    assert played.robot.time_ns == 165 * MS
+    played.run(3, deliver=nothing)
+    # Answers to the states before the reset would be wrong.
+    assert [command.source for command in played.commands[-3:]] == [Source.HELD] * 3
+    played.run(20)
+    assert played.commands[-1].source is Source.FRESH
+    assert played.state.session == SESSION + 1
+    assert played.state.time_ns == 22 * MS
+    assert played.robot.time_ns == 188 * MS
+    assert not played.robot.walk_ended
+    assert played.robot.sensor_guard.faults.total() == faults
+
+
+def test_a_robot_that_has_fallen_is_up_after_a_reset(bench):
+    played = bench().run(2)
+    given(played, "push 5000N +x --for 500ms")
+    while not played.robot.fallen:
+        played.run(1)
+    given(played, "reset")
+    played.run(50)
+    assert not played.robot.fallen
+
+
+def test_simulated_time_stands_still_and_goes_on():
+    pace = Pace()
+    for command, left, speed in (
+        (Speed(0.25), None, 0.25),
+        (Pause(), 0, 0.0),
+        (Step(3), 3, 0.25),
+        (Pause(), 0, 0.0),
+        (Speed(0.5), 0, 0.0),
+        (Resume(), None, 0.5),
+        (Speed(1.0), None, 1.0),
+    ):
+        carry_out = pace.prepare(command)
+        assert carry_out is not None
+        carry_out()
+        assert (pace.left, pace.clock.speed) == (left, speed)
+    assert pace.prepare(Reset()) is None
