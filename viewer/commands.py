@@ -19,6 +19,7 @@ from viewer.blueprint import Picture
 from viewer.camera import CAMERAS, DEFAULT
 from viewer.display import VIEWS
 from viewer.live import watch
+from viewer.page.watch import watch_page
 from viewer.recording import record
 from viewer.show import show
 from viewer.snapshot import ANIMATION_WIDTH, ANIMATIONS, SIZE, animation, picture
@@ -38,7 +39,7 @@ def add_live_arguments(parser: argparse.ArgumentParser) -> None:
         "--view",
         choices=VIEWS,
         default="native",
-        help="a window, a browser, or a recording only (default %(default)s)",
+        help="a window, a browser, the light page, or a recording only (default %(default)s)",
     )
     parser.add_argument("--out", metavar="DIR", type=Path, help="also write DIR/recording.rrd")
     add_held_argument(parser)
@@ -131,6 +132,14 @@ def _leaving_at_once(
 def run_live(arguments: argparse.Namespace) -> int:
     wait_while_held(arguments)
     stop = StopSignal()
+    if arguments.view == "page":
+        watch_page(
+            load_config(arguments.config),
+            telemetry=arguments.telemetry,
+            stopped=lambda: stop.requested,
+            say=_say,
+        )
+        return EXIT_STANDING
     watch(
         load_config(arguments.config),
         telemetry=arguments.telemetry,

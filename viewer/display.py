@@ -23,7 +23,7 @@ WEB_PORT = 9090
 # The server keeps data for a view that is opened late, and drops the oldest first.
 SERVER_MEMORY = "256MiB"
 WINDOW_MEMORY = "1GiB"
-VIEWS = ("native", "web", "record")
+VIEWS = ("native", "web", "page", "record")
 # A window that cannot open gives up well within this time [s].
 SETTLE = 1.0
 
@@ -43,7 +43,7 @@ class Display:
         file: Path | None,
         newest_first: bool = False,
     ) -> None:
-        """Open the sinks for `view` (one of `VIEWS`) and `file`; `UserError` if one fails.
+        """Open the sinks for `view` (of `VIEWS`, no page) and `file`; `UserError` if one fails.
 
         With `newest_first`, a view that is opened late shows the newest data at once.
         """

@@ -16,6 +16,8 @@ from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import LinkError
 from shared.wire.channels import LINK_KEY, SOLVES_KEY, TICKS_KEY
 
+# The view yields to the control loops on the same machine.
+NICENESS = 10
 # About six seconds of a run, at most about 30 MB.
 QUEUE_BLOCKS = 256
 # Length of an attempt to connect; a stop request is seen between two attempts.

@@ -20,14 +20,12 @@ from shared.telemetry.row_log import decode_rows
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
 from viewer.blueprint import layout
 from viewer.display import Display
-from viewer.intake import BlockQueue, connect, subscribe
+from viewer.intake import NICENESS, BlockQueue, connect, subscribe
 from viewer.meshes import load_meshes
 from viewer.recording import new_recording
 from viewer.scene import Scene
 from viewer.title import log_title, title
 
-# The view yields to the control loops on the same machine.
-NICENESS = 10
 # The period of the robot's blocks [s].
 DRAW_PERIOD = 0.1
 # Rows of the link may come this much later than the robot's rows of the same time.

@@ -473,7 +473,7 @@ class RunConfig:
     view: str = setting(
         "auto",
         help="where the run is shown",
-        choices=("auto", "native", "web", "off"),
+        choices=("auto", "native", "web", "page", "off"),
         flag="--view",
     )
     robot: RobotConfig = field(default_factory=RobotConfig)

@@ -1,0 +1,110 @@
+"""The state of a run for the page, from telemetry blocks: always whole, never a difference.
+
+A browser that is slow, or that comes late, needs only the newest state. The state has poses of the
+last block of ticks, which the page plays one after the other, and the last seconds of the link.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from shared.config.settings import RunConfig
+from shared.robots import Robot
+from shared.telemetry.row_log import decode_rows
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, Source, tick_schema
+from shared.wbc.contacts import ContactMode
+from viewer.page.strip import Strip
+from viewer.pose import PoseModel
+from viewer.verdict import Verdict
+
+# Poses this far apart are smooth enough, as the page interpolates [ns].
+POSE_NS = 25_000_000
+_DIGITS = 4
+
+
+class Feed:
+    """Takes in blocks of rows; `state` is the newest state. `refused` counts unusable blocks."""
+
+    def __init__(self, robot: Robot, config: RunConfig, joints: Sequence[int]) -> None:
+        self.refused = 0
+        self._ticks = tick_schema(nq=robot.model.nq, nv=robot.model.nv)
+        self._pose = PoseModel(robot, joints, friction=config.wbc.friction)
+        self._verdict = Verdict(robot)
+        self._strip = Strip()
+        self._state: dict[str, Any] = {"verdict": self._verdict.text}
+
+    @property
+    def state(self) -> str:
+        """The newest state as JSON.
+
+        `clock` is the robot's clock [s]. A pose has its time `at` on it, and for each joint the
+        position (3) [m] and the quaternion xyzw (4) in the world.
+        """
+        return json.dumps({**self._state, "strip": self._strip.newest()}, separators=(",", ":"))
+
+    def take(self, blocks: Sequence[bytes]) -> bool:
+        """Take in blocks, in order. Return whether the state has changed."""
+        changed = False
+        for block in blocks:
+            # Whatever is wrong with a block, the page goes on with the next one.
+            try:
+                schema, rows = decode_rows(block, self._ticks, LINK_SCHEMA, SOLVE_SCHEMA)
+                if len(rows):
+                    self._take(schema, rows)
+                    changed = True
+            except Exception:
+                self.refused += 1
+        return changed
+
+    def _take(self, schema: Schema, rows: np.ndarray) -> None:
+        if schema is self._ticks:
+            self._take_ticks(rows)
+        elif schema is LINK_SCHEMA:
+            self._strip.take_link(schema, rows)
+
+    def _take_ticks(self, rows: np.ndarray) -> None:
+        schema = self._ticks
+        running = rows[schema.column(rows, "time_ns") >= 0]
+        self._verdict.take(schema, running)
+        self._strip.take_ticks(schema, rows)
+        last = {name: rows[-1, where] for name, where in schema.slices.items()}
+        fallen, begun = self._verdict.fallen, len(running) > 0
+        pushes = schema.column(rows, "push_n")
+        strongest = pushes[np.argmax(np.abs(pushes).sum(axis=1))]
+        self._state = {
+            "verdict": self._verdict.text,
+            "fallen": fallen,
+            "time": _rounded(max(0.0, last["time_ns"][0] * 1e-9)),
+            "clock": _rounded(last["wall_ns"][0] * 1e-9),
+            "source": "" if fallen or not begun else Source(int(last["source"][0])).label,
+            "contact": "" if fallen else ContactMode(int(last["mode"][0])).label,
+            "age_ms": _rounded(last["projector_age_ns"][0] * 1e-6) if begun else None,
+            "com_error_cm": None if fallen else _rounded(100.0 * last["com_error_m"][0]),
+            "com": [_rounded(each) for each in last["com"]],
+            "push": [_rounded(each) for each in strongest],
+            "poses": self._poses(rows),
+        }
+
+    def _poses(self, rows: np.ndarray) -> list[dict[str, Any]]:
+        """Return a pose for each `POSE_NS`, and the last one."""
+        wall_ns = self._ticks.column(rows, "wall_ns").astype(np.int64)
+        q = self._ticks.column(rows, "q")
+        usable = np.flatnonzero(np.isfinite(q).all(axis=1))
+        span = wall_ns[usable] // POSE_NS
+        chosen = usable[np.append(np.diff(span) != 0, True)] if len(usable) else usable
+        poses = []
+        for row in chosen.tolist():
+            placed = self._pose.joints(q[row])
+            joints = np.hstack([placed.translation, placed.quat_xyzw])
+            flat = np.round(joints, _DIGITS).ravel().tolist()
+            poses.append({"at": _rounded(wall_ns[row] * 1e-9), "joints": flat})
+        return poses
+
+
+def _rounded(value: float) -> float | None:
+    """Return a number with few digits; None if it is not finite, as JSON has no such number."""
+    return round(float(value), _DIGITS) if np.isfinite(value) else None

@@ -1,0 +1,66 @@
+"""Show a live run on the light page until it is stopped."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from collections.abc import Callable
+
+from shared.config.settings import RunConfig
+from shared.robots import load_robot
+from viewer.camera import focus_height
+from viewer.intake import NICENESS, BlockQueue, connect, subscribe
+from viewer.page.feed import Feed
+from viewer.page.hulls import load_hulls
+from viewer.page.server import PageServer
+from viewer.rerun_process import free_port
+from viewer.title import parts
+
+PORT = 9090
+# A look at the queue; the robot's blocks come ten times a second [s].
+_LOOK = 0.02
+
+
+def watch_page(
+    config: RunConfig,
+    *,
+    telemetry: str,
+    stopped: Callable[[], bool],
+    say: Callable[[str], None],
+) -> None:
+    """Serve the page of a run until `stopped`; `UserError` if the hub cannot be reached.
+
+    Print a line that starts with READY, the address alone on a line, and a line at the end.
+    """
+    os.nice(NICENESS)
+    robot = load_robot(config.robot.name)
+    hulls = load_hulls(robot)
+    blocks = BlockQueue()
+    bus = connect(telemetry, stopped=stopped)
+    if bus is None:
+        return
+    feed = Feed(robot, config, hulls["joints"])
+    words = {"words": parts(config), "focus": focus_height(robot), "walks": config.task == "walk"}
+    server = PageServer(json.dumps({**hulls, **words}), _no_commands)
+
+    async def serve() -> None:
+        await server.open(free_port(PORT))
+        say("READY in a browser, at the address below")
+        say(server.address)
+        while not stopped():
+            if feed.take(blocks.take()):
+                server.show(feed.state)
+            await asyncio.sleep(_LOOK)
+        await server.close()
+
+    try:
+        subscribe(bus, blocks, robot=robot.name)
+        asyncio.run(serve())
+    finally:
+        bus.close()
+    say(f"{blocks.dropped} blocks dropped when behind, {feed.refused} blocks refused")
+
+
+def _no_commands(line: str) -> str:
+    return f"{line}: this run takes no commands"
