@@ -24,6 +24,8 @@ WEB_PORT = 9090
 SERVER_MEMORY = "256MiB"
 WINDOW_MEMORY = "1GiB"
 VIEWS = ("native", "web", "page", "record")
+# As the system's table of connections writes it.
+_ESTABLISHED = "01"
 # A window that cannot open gives up well within this time [s].
 SETTLE = 1.0
 
@@ -53,12 +55,14 @@ class Display:
         self.address = ""
         self._recording = recording
         self._child: RerunProcess | None = None
+        self._port = 0
         sinks: list[rr.FileSink | rr.GrpcServerSink] = []
         if file is not None:
             sinks.append(rr.FileSink(_writable(file)))
         if view != "record":
+            self._port = free_port()
             server = rr.GrpcServerSink(
-                HOST, free_port(), server_memory_limit=SERVER_MEMORY, newest_first=newest_first
+                HOST, self._port, server_memory_limit=SERVER_MEMORY, newest_first=newest_first
             )
             sinks.append(server)
         recording.set_sinks(*sinks, default_blueprint=blueprint)
@@ -71,6 +75,11 @@ class Display:
     def shown(self) -> bool:
         """Return whether the window or the web server still runs."""
         return self._child is not None and self._child.running
+
+    @property
+    def seen(self) -> bool:
+        """Return whether a window or a browser has connected."""
+        return self.shown and _has_client(self._port)
 
     def close(self) -> None:
         """Stop the child, write the recording out and stop serving it."""
@@ -106,6 +115,16 @@ def _answers(port: int) -> bool:
     with socket.socket() as probe:
         probe.settimeout(0.2)
         return probe.connect_ex((HOST, port)) == 0
+
+
+def _has_client(port: int) -> bool:
+    """Return whether a connection to a port of this machine stands, as far as the system says."""
+    try:
+        lines = Path("/proc/net/tcp").read_text(encoding="ascii").splitlines()[1:]
+    except OSError:
+        return True
+    fields = [line.split() for line in lines]
+    return any(each[1].endswith(f":{port:04X}") and each[3] == _ESTABLISHED for each in fields)
 
 
 def _writable(file: Path) -> Path:

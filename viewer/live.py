@@ -18,6 +18,7 @@ from shared.config.settings import RunConfig
 from shared.robots import Robot, load_robot
 from shared.telemetry.row_log import decode_rows
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
+from shared.wire.operator import VIEW_KEY
 from viewer.blueprint import layout
 from viewer.display import Display
 from viewer.intake import NICENESS, BlockQueue, connect, subscribe
@@ -67,9 +68,13 @@ def watch(
         if display.address:
             say(display.address)
         shown = view != "record"
+        seen, waits = bus.publisher(VIEW_KEY), shown
         while not stopped():
             time.sleep(DRAW_PERIOD)
             drawn.add(blocks.take())
+            if waits and display.seen:
+                seen.publish(b"")
+                waits = False
             if shown and not display.shown and not stopped():
                 shown = False
                 say("the view was closed" + ("; still recording" if file else ""))

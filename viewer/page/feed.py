@@ -7,16 +7,19 @@ last block of ticks, which the page plays one after the other, and the last seco
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from shared.config.settings import RunConfig
+from shared.errors import MessageRefused
 from shared.robots import Robot
 from shared.telemetry.row_log import decode_rows
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, Source, tick_schema
 from shared.wbc.contacts import ContactMode
+from shared.wire.operator import decode_event
 from viewer.page.strip import Strip
 from viewer.pose import PoseModel
 from viewer.verdict import Verdict
@@ -24,6 +27,7 @@ from viewer.verdict import Verdict
 # Poses this far apart are smooth enough, as the page interpolates [ns].
 POSE_NS = 25_000_000
 _DIGITS = 4
+_MAX_EVENTS = 6
 
 
 class Feed:
@@ -35,7 +39,19 @@ class Feed:
         self._pose = PoseModel(robot, joints, friction=config.wbc.friction)
         self._verdict = Verdict(robot)
         self._strip = Strip()
+        self._events: deque[str] = deque(maxlen=_MAX_EVENTS)
         self._state: dict[str, Any] = {"verdict": self._verdict.text}
+
+    def take_events(self, messages: Sequence[bytes]) -> bool:
+        """Take in events of an operator, in order. Return whether the state has changed."""
+        for message in messages:
+            try:
+                event, _ = decode_event(message)
+            except MessageRefused:
+                self.refused += 1
+            else:
+                self._events.append(f"{event.time_ns * 1e-9:.2f} s: {event.command}")
+        return bool(messages)
 
     @property
     def state(self) -> str:
@@ -44,7 +60,10 @@ class Feed:
         `clock` is the robot's clock [s]. A pose has its time `at` on it, and for each joint the
         position (3) [m] and the quaternion xyzw (4) in the world.
         """
-        return json.dumps({**self._state, "strip": self._strip.newest()}, separators=(",", ":"))
+        return json.dumps(
+            {**self._state, "strip": self._strip.newest(), "events": list(self._events)},
+            separators=(",", ":"),
+        )
 
     def take(self, blocks: Sequence[bytes]) -> bool:
         """Take in blocks, in order. Return whether the state has changed."""

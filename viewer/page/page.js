@@ -5,7 +5,7 @@ import {CAMERAS, RobotCanvas} from "./robot.js";
 const DELAY = 0.12;           // the picture is this far behind the newest pose [s]
 const PERIOD = 1000 / 31;     // at most 30 pictures a second
 const SPAN = 20;              // of the strip [s]
-const ANSWERS = 6;
+const ANSWERS = 2;
 const TRY_AGAIN = 1000;
 
 const at = (id) => document.getElementById(id);
@@ -35,11 +35,13 @@ function take(news) {
   state = news;
   verdict(news.verdict, news.fallen ? "bad" : news.verdict === "stands" ? "good" : "");
   stripIsNew = true;
+  showEvents(news.events);
   if (!news.poses) return;
   const last = poses.length ? poses[poses.length - 1].at : -Infinity;
   poses.push(...news.poses.filter((pose) => pose.at > last));
   if (poses.length > 60) poses.splice(0, poses.length - 60);
-  const ms = (value) => value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`;
+  const ms = (value) => value === null || value === undefined ? "–"
+    : value < 1000 ? `${value.toFixed(1)} ms` : `${(value / 1000).toFixed(1)} s`;
   number("age", ms(news.age_ms < 0 ? null : news.age_ms));
   for (const way of ["up", "down"]) {
     const outages = news.strip.outages[way] || [], out = outages.length > 0 && outages[outages.length - 1][1] === 0;
@@ -144,7 +146,7 @@ function drawStrip(strip) {
     context.moveTo(left, y(age));
     context.lineTo(x(0), y(age));
   }
-  context.fillText(`${most.toFixed(0)} ms`, 6 * ratio, y(most) + text * 0.7);
+  context.fillText(most < 1000 ? `${most.toFixed(0)} ms` : `${(most / 1000).toFixed(1)} s`, 6 * ratio, y(most) + text * 0.7);
   context.fillText(`age  0`, 6 * ratio, y(0));
   for (let seconds = -SPAN; seconds <= 0; seconds += 5) {
     context.moveTo(x(seconds), top);
@@ -161,6 +163,18 @@ function drawStrip(strip) {
   context.stroke();
 }
 
+function showEvents(events) {
+  const list = at("events");
+  if (list.dataset.shown === events.join("")) return;
+  list.replaceChildren(...events.map((text) => {
+    const line = document.createElement("li");
+    line.textContent = text;
+    return line;
+  }).reverse());
+  list.dataset.shown = events.join("");
+}
+
+// Refusals and notes; the next command clears them.
 function say(text) {
   const line = document.createElement("li");
   line.textContent = text;
@@ -169,6 +183,7 @@ function say(text) {
 }
 
 function send(line) {
+  at("answers").replaceChildren();
   if (socket.readyState === WebSocket.OPEN) socket.send(line);
   else say(`${line}: not sent, there is no connection`);
 }
@@ -187,6 +202,7 @@ document.addEventListener("keydown", (event) => {
   if (event.repeat || event.ctrlKey || event.altKey || event.metaKey || event.target.closest("select")) return;
   const button = document.querySelector(`button[data-key="${CSS.escape(event.key.toLowerCase())}"]`);
   if (!button) return;
+  event.preventDefault();
   button.click();
   button.classList.add("pressed");
   setTimeout(() => button.classList.remove("pressed"), 150);
@@ -198,9 +214,10 @@ at("robot").addEventListener("pointermove", (event) => {
   scene.camera.yaw -= event.movementX * 0.01;
   scene.camera.pitch = Math.max(-0.1, Math.min(1.5, scene.camera.pitch + event.movementY * 0.01));
 });
-at("robot").addEventListener("keydown", ({key}) => {
-  if (key === "ArrowLeft") scene.camera.yaw -= 0.1;
-  if (key === "ArrowRight") scene.camera.yaw += 0.1;
+at("robot").addEventListener("keydown", (event) => {
+  if (event.key !== "ArrowLeft" && event.key !== "ArrowRight") return;
+  event.stopPropagation();
+  scene.camera.yaw += event.key === "ArrowLeft" ? -0.1 : 0.1;
 });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => scene.readColours());
 

@@ -105,33 +105,44 @@ export class RobotCanvas {
     context.lineTo(b[0], b[1]);
   }
 
+  // A hull is convex, so its faces towards the camera hide none of each other: only hulls are sorted.
   drawHulls(context, joints) {
-    const faces = [];
-    for (const shape of this.shapes) {
-      this.place(shape, joints, 7 * shape.joint);
-      for (const face of shape.faces) {
-        const [a, b, c] = face.map((k) => shape.points[k]);
-        const normal = cross(
-          [b[0] - a[0], b[1] - a[1], b[2] - a[2]], [c[0] - a[0], c[1] - a[1], c[2] - a[2]]);
-        const eye = this.camera.eye;
-        if (dot(normal, [eye[0] - a[0], eye[1] - a[1], eye[2] - a[2]]) <= 0) continue;
-        const seen = face.map((k) => shape.seen[k]);
-        faces.push({seen, depth: seen[0][2] + seen[1][2] + seen[2][2], colour: this.shade(shape, normal)});
-      }
-    }
-    faces.sort((one, other) => other.depth - one.depth);
+    for (const shape of this.shapes) this.place(shape, joints, 7 * shape.joint);
+    this.shapes.sort((one, other) => other.depth - one.depth);
     context.lineWidth = 1;
     context.lineJoin = "round";
-    for (const {seen: [a, b, c], colour} of faces) {
+    const eye = this.camera.eye;
+    for (const shape of this.shapes) {
+      const faces = [];
+      for (const face of shape.faces) {
+        const [a, b, c] = [shape.points[face[0]], shape.points[face[1]], shape.points[face[2]]];
+        const normal = cross(
+          [b[0] - a[0], b[1] - a[1], b[2] - a[2]], [c[0] - a[0], c[1] - a[1], c[2] - a[2]]);
+        if (dot(normal, [eye[0] - a[0], eye[1] - a[1], eye[2] - a[2]]) <= 0) continue;
+        faces.push([face, this.shade(shape, normal)]);
+      }
+      // First the whole, which shows through the seams between neighbours.
       context.beginPath();
-      context.moveTo(a[0], a[1]);
-      context.lineTo(b[0], b[1]);
-      context.lineTo(c[0], c[1]);
-      context.closePath();
-      context.fillStyle = context.strokeStyle = colour;
+      for (const [face] of faces) this.trace(context, shape, face);
+      context.fillStyle = context.strokeStyle = this.shade(shape, LIGHT);
       context.fill();
-      context.stroke();  // closes the seams between neighbours
+      context.strokeStyle = faces.length ? faces[0][1] : context.strokeStyle;
+      context.stroke();
+      for (const [face, colour] of faces) {
+        context.beginPath();
+        this.trace(context, shape, face);
+        context.fillStyle = colour;
+        context.fill();
+      }
     }
+  }
+
+  trace(context, shape, face) {
+    const [a, b, c] = [shape.seen[face[0]], shape.seen[face[1]], shape.seen[face[2]]];
+    context.moveTo(a[0], a[1]);
+    context.lineTo(b[0], b[1]);
+    context.lineTo(c[0], c[1]);
+    context.closePath();
   }
 
   // Moves a shape's vertices into the world and onto the canvas.
@@ -145,6 +156,7 @@ export class RobotCanvas {
       point[2] = z + vz + qw * tz + qx * ty - qy * tx;
       shape.seen[k] = this.camera.see(point);
     });
+    shape.depth = shape.seen.reduce((sum, seen) => sum + seen[2], 0) / shape.seen.length;
   }
 
   shade(shape, normal) {

@@ -40,8 +40,8 @@ _PATIENCE = 20.0
 class PageServer:
     """The page of one run. `robot` is the JSON that does not change: title and hulls.
 
-    `command` carries out a line of text and returns the answer; it raises `UserError` to refuse.
-    It is called on a thread, one call at a time.
+    `command` carries out a line of text and returns an answer, empty if there is nothing to say. It
+    raises `UserError` to refuse. It is called on a thread, one call at a time.
     """
 
     def __init__(self, robot: str, command: Callable[[str], str]) -> None:
@@ -143,7 +143,8 @@ class PageServer:
             sending = asyncio.create_task(self._send(connection, slot))
             try:
                 async for line in connection:
-                    await connection.send(json.dumps({"answer": await self._carry_out(line)}))
+                    if answer := await self._carry_out(line):
+                        await connection.send(json.dumps({"answer": answer}))
             except ConnectionClosed:
                 pass
             finally:

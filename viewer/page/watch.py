@@ -6,9 +6,13 @@ import asyncio
 import json
 import os
 from collections.abc import Callable
+from functools import partial
 
+from shared.bus.operator import CommandClient
+from shared.bus.zenoh_bus import ZenohBus
 from shared.config.settings import RunConfig
 from shared.robots import load_robot
+from shared.wire.operator import EVENTS_KEY, VIEW_KEY, parse_command
 from viewer.camera import focus_height
 from viewer.intake import NICENESS, BlockQueue, connect, subscribe
 from viewer.page.feed import Feed
@@ -36,31 +40,42 @@ def watch_page(
     os.nice(NICENESS)
     robot = load_robot(config.robot.name)
     hulls = load_hulls(robot)
-    blocks = BlockQueue()
+    blocks, events = BlockQueue(), BlockQueue()
     bus = connect(telemetry, stopped=stopped)
     if bus is None:
         return
     feed = Feed(robot, config, hulls["joints"])
     words = {"words": parts(config), "focus": focus_height(robot), "walks": config.task == "walk"}
-    server = PageServer(json.dumps({**hulls, **words}), _no_commands)
+    server = PageServer(json.dumps({**hulls, **words}), partial(_carry_out, bus))
+    seen = bus.publisher(VIEW_KEY)
 
     async def serve() -> None:
         await server.open(free_port(PORT))
         say("READY in a browser, at the address below")
         say(server.address)
+        waits = True
         while not stopped():
-            if feed.take(blocks.take()):
+            changed = [feed.take(blocks.take()), feed.take_events(events.take())]
+            if any(changed):
                 server.show(feed.state)
+            if waits and server.browsers:
+                seen.publish(b"")
+                waits = False
             await asyncio.sleep(_LOOK)
         await server.close()
 
     try:
         subscribe(bus, blocks, robot=robot.name)
+        bus.subscribe(EVENTS_KEY, lambda delivery: events.put(delivery.data))
         asyncio.run(serve())
     finally:
         bus.close()
     say(f"{blocks.dropped} blocks dropped when behind, {feed.refused} blocks refused")
 
 
-def _no_commands(line: str) -> str:
-    return f"{line}: this run takes no commands"
+def _carry_out(bus: ZenohBus, line: str) -> str:
+    """Send a command to the stack. Return what a user should know beside its event, often nothing.
+
+    Raise `UserError` if the command is refused.
+    """
+    return CommandClient(bus).send(parse_command(line)).note

@@ -1,0 +1,335 @@
+"""The light page: who gets in, what leaves, and what a slow browser costs."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+from collections.abc import Awaitable, Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect as connect_sync
+
+from shared.bus.operator import CommandServer
+from shared.bus.zenoh_bus import ZenohBus
+from shared.config.config_file import dump_config
+from shared.config.settings import RunConfig
+from shared.errors import ConfigError
+from shared.robots import Robot
+from shared.telemetry.row_log import encode_rows
+from shared.wire.channels import TICKS_KEY
+from shared.wire.operator import (
+    EVENTS_KEY,
+    ROBOT_COMMANDS_KEY,
+    VIEW_KEY,
+    Accepted,
+    Command,
+    CommandEvent,
+    encode_event,
+    parse_command,
+)
+from tests.processes import PATIENCE_SECONDS, Process, until
+from tests.telemetry_hub import is_heard
+from tests.viewer.synthetic import WALL_START_NS, link_rows, solve_rows, tick_rows
+from viewer.meshes import load_meshes
+from viewer.page.feed import Feed
+from viewer.page.hulls import load_hulls, make_hulls
+from viewer.page.server import FILES, MAX_BROWSERS, PageServer
+from viewer.rerun_process import free_port
+
+ROBOT = json.dumps({"joints": [1], "shapes": [], "words": ["Romeo", "balance"], "focus": 0.5})
+
+
+def served(check: Callable[[PageServer], Awaitable[None]]) -> None:
+    """Run a check against a server whose commands are answered by their text in capitals."""
+
+    def command(line: str) -> str:
+        if line == "nonsense":
+            raise ConfigError("command: expected one of push, link, got 'nonsense'")
+        return line.upper()
+
+    async def run() -> None:
+        server = PageServer(ROBOT, command)
+        await server.open(0)
+        try:
+            await asyncio.wait_for(check(server), PATIENCE_SECONDS)
+        finally:
+            await server.close()
+
+    asyncio.run(run())
+
+
+async def get(address: str, **headers: str) -> tuple[int, str, str]:
+    """The status, the head and the body of a response."""
+    _, port, path = re.fullmatch(r"http://([\d.]+):(\d+)(/.*)", address).groups()
+    reader, writer = await asyncio.open_connection("127.0.0.1", int(port))
+    sent = {"Host": f"127.0.0.1:{port}", **headers}
+    lines = "".join(f"{name}: {value}\r\n" for name, value in sent.items())
+    writer.write(f"GET {path} HTTP/1.1\r\n{lines}\r\n".encode())
+    head, _, body = (await reader.read()).decode().partition("\r\n\r\n")
+    writer.close()
+    return int(head.split()[1]), head, body
+
+
+def stream(address: str) -> str:
+    return address.replace("http:", "ws:") + "stream"
+
+
+def without_token(address: str, token: str = "") -> str:
+    return re.sub(r"(:\d+/)[^/]+/", rf"\g<1>{token}", address)
+
+
+def test_without_the_token_nothing_is_answered() -> None:
+    async def check(server: PageServer) -> None:
+        assert server.address.startswith("http://127.0.0.1:")
+        for wrong in ("", "page.js", "guess/", "guess/robot.json", "/stream", "%00/"):
+            status, _, body = await get(without_token(server.address, wrong))
+            assert (status, "Romeo" in body) == (403, False)
+        with pytest.raises(InvalidStatus, match="403"):
+            await connect(stream(without_token(server.address, "guess/")))
+
+    served(check)
+
+
+def test_another_page_gets_nothing_even_with_the_token() -> None:
+    async def check(server: PageServer) -> None:
+        assert (await get(server.address, Host="evil.example"))[0] == 403
+        with pytest.raises(InvalidStatus, match="403"):
+            await connect(stream(server.address), origin="http://evil.example")  # type: ignore[arg-type]
+
+    served(check)
+
+
+def test_the_page_comes_from_the_package_and_names_no_other_place() -> None:
+    async def check(server: PageServer) -> None:
+        for name in FILES:
+            status, head, body = await get(server.address + name)
+            assert status == 200
+            assert body == files("viewer.page").joinpath(FILES[name][0]).read_text("utf-8")
+            assert not re.search(r"https?://|[\"'(]//|@import", body), "nothing from elsewhere"
+            assert "default-src 'none'" in head
+        assert (await get(server.address + "robot.json"))[2] == ROBOT
+        assert (await get(server.address + "../server.py"))[0] == 404
+
+    served(check)
+
+
+def test_a_browser_that_comes_late_gets_the_newest_state_at_once() -> None:
+    async def check(server: PageServer) -> None:
+        server.show('{"time": 1}')
+        server.show('{"time": 2}')
+        async with connect(stream(server.address)) as browser:
+            assert await browser.recv() == '{"time": 2}'
+            server.show('{"time": 3}')
+            assert await browser.recv() == '{"time": 3}'
+
+    served(check)
+
+
+def test_a_browser_that_reads_nothing_holds_a_few_states_only() -> None:
+    async def check(server: PageServer) -> None:
+        # More than the system's buffers of both sockets, and than those of both libraries.
+        count, large = 60, "x" * 1_000_000
+        async with connect(stream(server.address), max_size=None, max_queue=1) as browser:
+            for k in range(count):
+                server.show(json.dumps({"time": k, "filling": large}))
+                await asyncio.sleep(0.002)
+            got: list[int] = []
+            while not got or got[-1] < count - 1:
+                got.append(json.loads(await browser.recv()).get("time", -1))
+        assert len(got) < count / 2
+        assert got == sorted(set(got)), "the states that it gets are in their order"
+
+    served(check)
+
+
+def test_commands_are_answered_and_refusals_are_told() -> None:
+    async def check(server: PageServer) -> None:
+        async with connect(stream(server.address)) as browser:
+            await browser.recv()
+            for line, answer in (
+                ("link cut", "LINK CUT"),
+                ("nonsense", "command: expected one of push, link, got 'nonsense'"),
+            ):
+                await browser.send(line)
+                assert json.loads(await browser.recv()) == {"answer": answer}
+            await browser.send("x" * 301)
+            await browser.wait_closed()
+            while server.browsers:
+                await asyncio.sleep(0.01)
+
+    served(check)
+
+
+def test_more_browsers_than_can_be_are_turned_away() -> None:
+    async def check(server: PageServer) -> None:
+        browsers = [await connect(stream(server.address)) for _ in range(MAX_BROWSERS)]
+        for browser in browsers:
+            await browser.recv()
+        with pytest.raises(InvalidStatus, match="503"):
+            await connect(stream(server.address))
+        for browser in browsers:
+            await browser.close()
+
+    served(check)
+
+
+def feed_of(robot: Robot, *blocks: bytes) -> dict[str, Any]:
+    feed = Feed(robot, RunConfig(), [1, 2])
+    feed.take(blocks)
+    state: dict[str, Any] = json.loads(feed.state)
+    state["refused"] = feed.refused
+    return state
+
+
+def test_a_state_has_the_newest_poses_numbers_and_outages(robot: Robot) -> None:
+    schema, rows = tick_rows(robot, 1100)
+    state = feed_of(
+        robot,
+        encode_rows(*link_rows(400, lost_every=10)),
+        encode_rows(*solve_rows(10)),
+        *(encode_rows(schema, rows[k : k + 100]) for k in range(0, 1100, 100)),
+    )
+    assert (state["verdict"], state["fallen"]) == ("stands", False)
+    assert state["time"] == pytest.approx(1.099)
+    assert state["push"] == [0.0, 100.0, 0.0]
+    # A pose for each 25 ms of the last block, in order, the last one at its end.
+    times = [pose["at"] for pose in state["poses"]]
+    assert len(times) == 4
+    assert times == sorted(times)
+    assert times[-1] == pytest.approx(WALL_START_NS * 1e-9 + 1.099)
+    base = state["poses"][-1]["joints"][:3]
+    np.testing.assert_allclose(base, schema.column(rows, "q")[-1, :3], atol=1e-4)
+    strip = state["strip"]
+    assert [age for _, age in strip["ages"]][:2] == pytest.approx([8.94, 14.94], abs=0.01)
+    ((begin, end),) = strip["outages"]["up"]
+    assert begin == pytest.approx(0.4 + 0.0151 - 1.1, abs=0.01)
+    assert end == 0.0, "the link is silent since"
+
+
+def test_states_are_numbers_whatever_comes(robot: Robot) -> None:
+    schema, rows = tick_rows(robot, 100)
+    rows[60:] = np.nan
+    spoilt = encode_rows(schema, rows)
+    rows[:, schema.slices["q"]] = np.inf
+    state = feed_of(robot, b"no block", spoilt, encode_rows(schema, rows))
+    assert state["refused"] >= 1
+    assert "NaN" not in json.dumps(state)
+    assert "Infinity" not in json.dumps(state)
+
+
+def test_after_a_fall_the_page_names_no_command(robot: Robot) -> None:
+    schema, rows = tick_rows(robot, 100)
+    rows[50:, schema.slices["com"]] *= 0.5
+    rows[50:, schema.slices["source"]] = 2
+    state = feed_of(robot, encode_rows(schema, rows))
+    assert (state["verdict"], state["source"], state["contact"]) == ("fell at 0.05 s", "", "")
+
+
+def test_events_are_kept_for_late_browsers_and_bounded(robot: Robot) -> None:
+    feed = Feed(robot, RunConfig(), [1])
+    cut = parse_command("link cut")
+    messages = [
+        encode_event(CommandEvent(k * 1_000_000_000, cut), wall_ns=WALL_START_NS) for k in range(9)
+    ]
+    assert feed.take_events([*messages, b"no event"])
+    events = json.loads(feed.state)["events"]
+    assert len(events) == 6
+    assert events[-1] == "8.00 s: link cut"
+    assert feed.refused == 1
+
+
+def test_hulls_are_few_triangles_that_look_outwards_and_fill_their_meshes(
+    robot: Robot, tmp_path: Path
+) -> None:
+    meshes = load_meshes(robot)
+    hulls = make_hulls(meshes)
+    assert sum(len(shape["faces"]) for shape in hulls["shapes"]) < 1200
+    assert {hulls["joints"][shape["joint"]] for shape in hulls["shapes"]} == {
+        mesh.joint for mesh in meshes
+    }
+    for shape in hulls["shapes"]:
+        vertices, faces = np.array(shape["vertices"]), np.array(shape["faces"])
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
+        outwards = np.cross(b - a, c - a)
+        assert ((outwards * (a - vertices.mean(axis=0))).sum(axis=1) > 0.0).all()
+
+
+def test_hulls_are_made_once(robot: Robot, tmp_path: Path) -> None:
+    (tmp_path / "hulls-1.json").write_text('{"joints": [1], "shapes": []}', encoding="utf-8")
+    assert load_hulls(robot, cache=tmp_path) == {"joints": [1], "shapes": []}
+
+
+def test_the_script_runs_in_a_browser(tmp_path: Path) -> None:
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        pytest.skip("there is no chromium here")
+    shown: list[str] = []
+    flags = ("--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}")
+
+    async def check(server: PageServer) -> None:
+        command = [chromium, *flags, "--virtual-time-budget=3000", "--dump-dom", server.address]
+        done = await asyncio.to_thread(
+            subprocess.run, command, capture_output=True, text=True, timeout=PATIENCE_SECONDS
+        )
+        shown.append(done.stdout)
+
+    served(check)
+    assert '<h1 id="title">Romeo · balance</h1>' in shown[0]
+
+
+@pytest.mark.live
+def test_a_run_is_seen_and_pushed_from_the_page(robot: Robot, tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    (tmp_path / "config.toml").write_text(dump_config(RunConfig(), versions={}))
+    hub = ZenohBus(listen=[endpoint], mode="router")
+    ticks = hub.publisher(TICKS_KEY.format(robot=robot.name), wait_when_full=True)
+    events = hub.publisher(EVENTS_KEY)
+    carried_out: list[Command] = []
+    seen: list[bytes] = []
+
+    def carry_out(command: Command) -> Accepted:
+        carried_out.append(command)
+        events.publish(encode_event(CommandEvent(7_000_000, command), wall_ns=WALL_START_NS))
+        return Accepted(7_000_000)
+
+    CommandServer(hub, ROBOT_COMMANDS_KEY, carry_out)
+    hub.subscribe(VIEW_KEY, lambda delivery: seen.append(delivery.data))
+    viewer = Process(
+        *("viewer", "live", "--config", str(tmp_path / "config.toml")),
+        *("--telemetry", endpoint, "--view", "page"),
+        env=dict(os.environ),
+    )
+    try:
+        viewer.wait_for("READY in a browser")
+        address = viewer.wait_for("http://127.0.0.1:").strip()
+        until(lambda: is_heard(ticks) and is_heard(events), "the page does not subscribe")
+        with connect_sync(stream(address)) as browser:
+            until(lambda: bool(seen), "nobody learns that the page is open")
+            ticks.publish(encode_rows(*tick_rows(robot, 100)))
+            state: dict[str, Any] = {}
+            while not state.get("poses"):
+                state = json.loads(browser.recv(timeout=PATIENCE_SECONDS))
+            assert state["verdict"] == "stands"
+            browser.send("push 100N +y")
+            while not state["events"]:
+                state = json.loads(browser.recv(timeout=PATIENCE_SECONDS))
+            assert state["events"] == ["0.01 s: push 100N +y --for 200ms"]
+            assert carried_out == [parse_command("push 100N +y")]
+            browser.send("push 100N up")
+            assert "direction" in json.loads(browser.recv(timeout=PATIENCE_SECONDS))["answer"]
+        viewer.signal(signal.SIGTERM)
+        assert viewer.wait() == 0
+    finally:
+        viewer.end()
+        hub.close()
