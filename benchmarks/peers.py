@@ -34,6 +34,7 @@ from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
+import pinocchio as pin
 
 from benchmarks.timing import Ratio, header
 from edge_node.node import EdgeNode
@@ -189,23 +190,25 @@ def _urdf_with_soles(robot: Robot, file: Path) -> tuple[Path, np.ndarray]:
     """The URDF with a frame in the middle of each sole's rectangle, and without shapes; and the
     corners (4, 3) of the rectangle in it, the same of both feet.
     """
-    tree = Xml.parse(robot.urdf_path)
+    tree = Xml.parse(robot.description.urdf)
     root = tree.getroot()
     for link in root.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
-    for foot in robot.description.feet:
-        corners = foot.corners(CORNER_MARGIN)
+    for sole in robot.soles:
+        corners = sole.corners(CORNER_MARGIN)
         middle = corners.mean(axis=0)
-        carrier = root.find(f"joint[@name='{foot.joint}']/child")
+        frame = robot.sole_frame(sole.side)
+        carrier = root.find(f"joint[@name='{robot.model.names[frame.parentJoint]}']/child")
         assert carrier is not None
-        name = f"{foot.side.value}_sole"
+        name = f"{sole.side.value}_sole"
         Xml.SubElement(root, "link", name=name)
         joint = Xml.SubElement(root, "joint", name=f"{name}_joint", type="fixed")
         Xml.SubElement(joint, "parent", link=carrier.get("link", ""))
         Xml.SubElement(joint, "child", link=name)
-        place = f"{middle[0]} {middle[1]} {-foot.sole_height}"
-        Xml.SubElement(joint, "origin", xyz=place, rpy="0 0 0")
+        xyz = " ".join(map(repr, frame.placement.act(middle).tolist()))
+        rpy = " ".join(map(repr, pin.rpy.matrixToRpy(frame.placement.rotation).tolist()))
+        Xml.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
     tree.write(file)
     return file, corners - middle
 

@@ -27,8 +27,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from shared.config.toml_file import read_toml
 from shared.errors import ConfigError, one_of
+from shared.toml_file import read_toml
 
 FILE = Path(__file__).with_name("services.toml")
 OUTCOME, FAILURE, IGNORED = "outcome", "failure", "ignored"

@@ -122,7 +122,7 @@ class StackRun:
         self._typed: asyncio.Queue[Command] = asyncio.Queue(maxsize=_MAX_TYPED)
         self._state = StackState(
             pid=os.getpid(),
-            robot=run.name or run.config.robot.name,
+            robot=run.name or run.config.robot.label,
             named=run.plan.names,
             state=STARTING,
             since=time.time(),
@@ -142,7 +142,7 @@ class StackRun:
             for line in (f"run folder: {self._out}", *self._run.plan.notes):
                 self._terminal.tell(line)
             self._telemetry = telemetry
-            robot = self._run.config.robot.name
+            robot = self._run.config.robot.label
             hub = open_hub(telemetry, self._status, robot, out=self._out)
             self._put(STARTING, hub=telemetry)
             hub.subscribe(CLOCK_KEY, self._time.take)

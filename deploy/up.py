@@ -99,7 +99,7 @@ def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd:
     )
     view = _resolve_view(config.view) if VIEWER in services else "off"
     plan = make_plan(options, chosen, view=view, free_port=iter(_free_ports(2)).__next__)
-    robot = config.robot.name if arguments.name is None else arguments.name
+    robot = config.robot.label if arguments.name is None else arguments.name
     check_credentials(plan, robot=robot)
     _check_scene(scene, plan)
     described = Run(

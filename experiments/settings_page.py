@@ -7,10 +7,10 @@ import inspect
 import json
 from pathlib import Path
 
-from shared.config.extensions import Extensions
 from shared.config.setting import Section, Setting
 from shared.config.settings import SECTIONS
 from shared.errors import ConfigError, writing
+from shared.extensions import Names
 from shared.process.cli import EXIT_STANDING
 
 PAGE = "configuration.md"
@@ -54,7 +54,7 @@ def _line(key: str, setting: Setting) -> tuple[str, ...]:
     name = ", ".join(f"`{each}`" for each in (key.rpartition(".")[2], *setting.flags))
     default = f"`{json.dumps(setting.default)}` {setting.unit}".rstrip()
     words = [f"`{word}`" for word in setting.words]
-    if isinstance(setting.choices, Extensions):
+    if isinstance(setting.choices, Names):
         words.append(f"[your own]({setting.choices.page.removeprefix('docs/')})")
     bounds = [f"{sign} {bound:g}" for sign, bound in setting.bounds]
     infinite = ["`inf`"] if setting.may_be_infinite else []

@@ -100,7 +100,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
         arguments, direct="direct means no shim; let the robot dial the edge, or try constant:0ms"
     )
     profile = load_network(config.link.network)
-    me = identity_from(arguments, role=NETEM, kind=config.robot.name)
+    me = identity_from(arguments, role=NETEM, kind=config.robot.label)
     wait_while_held(arguments)
     stop = StopSignal()
     scheduling = prepare(priority=_PRIORITY)

@@ -18,8 +18,9 @@ import numpy as np
 from robot_node.cache import AnswerCache, CacheEntry, ProjectorCache
 from robot_node.onboard import OnBoard, OnBoardWindow, StartComputer, projector_solve
 from robot_node.verification import ProjectorVerifier
-from shared.config.extensions import CONTROLLERS, Taken
+from shared.config.extensions import CONTROLLERS
 from shared.config.settings import RunConfig
+from shared.extensions import Taken
 from shared.robots import Foot
 from shared.telemetry.schema import Source
 from shared.wbc.balance import BalanceLaw

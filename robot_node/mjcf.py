@@ -14,7 +14,8 @@ import numpy as np
 import pinocchio as pin
 
 from shared.config.settings import PlantConfig
-from shared.robots import Foot, FootDescription, Robot
+from shared.errors import ConfigError
+from shared.robots import Foot, Robot, Sole
 
 _SOLE_THICKNESS = 0.01
 
@@ -48,7 +49,7 @@ def mjcf(robot: Robot, plant: PlantConfig, *, timestep: float) -> str:
         conaffinity="2",
         **contact,
     )
-    feet = {foot.joint: foot for foot in robot.description.feet}
+    soles = {robot.sole_frame(sole.side).parentJoint: sole for sole in robot.soles}
     bodies: dict[int, Xml.Element] = {0: world}
     model = robot.model
     for joint in range(1, model.njoints):
@@ -80,11 +81,11 @@ def mjcf(robot: Robot, plant: PlantConfig, *, timestep: float) -> str:
             mass=repr(float(inertia.mass)),
             fullinertia=_numbers([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]),
         )
-        if name in feet:
-            body.append(_sole(feet[name], contact, legs_collide=plant.leg_collision))
+        if joint in soles:
+            body.append(_sole(robot, soles[joint], contact, legs_collide=plant.leg_collision))
     if plant.leg_collision:
-        for foot in robot.description.feet:
-            for joint, link in _leg(robot, foot, contact):
+        for side in Foot:
+            for joint, link in _leg(robot, side, contact):
                 bodies[joint].append(link)
     actuators = Xml.SubElement(root, "actuator")
     for joint in range(2, model.njoints):
@@ -102,15 +103,18 @@ def _range(robot: Robot, plant: PlantConfig, joint: int) -> dict[str, str]:
     return {"limited": "true", "range": _numbers([lower, upper]), "solreflimit": stop}
 
 
-def _leg(
-    robot: Robot, foot: FootDescription, contact: dict[str, Any]
-) -> list[tuple[int, Xml.Element]]:
+def _leg(robot: Robot, side: Foot, contact: dict[str, Any]) -> list[tuple[int, Xml.Element]]:
     """Capsules along the thigh and the shank of a leg, each with the joint that carries it."""
-    model = robot.model
+    model, radii = robot.model, robot.description.leg_radii
+    if radii is None:
+        raise ConfigError(
+            f"plant.leg_collision: expected a robot file with leg_radii, that of {robot.name} has "
+            "none; add them, or try false"
+        )
     links: list[tuple[int, np.ndarray]] = []
-    joint = model.getJointId(foot.joint)
+    joint = robot.sole_frame(side).parentJoint
     # Up the chain to the hip, whose own placement is not along the leg.
-    while len(links) < len(robot.description.leg_radii):
+    while len(links) < len(radii):
         end = model.jointPlacements[joint].translation
         joint = model.parents[joint]
         if np.linalg.norm(end) > 0.0:
@@ -120,38 +124,41 @@ def _leg(
             joint,
             Xml.Element(
                 "geom",
-                name=f"{foot.side.value}_{name}",
+                name=f"{side.value}_{name}",
                 type="capsule",
                 fromto=_numbers([0.0, 0.0, 0.0, *end]),
                 size=repr(radius),
                 mass="0",
-                **_collisions(foot),
+                **_collisions(side),
                 **contact,
             ),
         )
         for (joint, end), name, radius in zip(
-            reversed(links), ("thigh", "shank"), robot.description.leg_radii, strict=True
+            reversed(links), ("thigh", "shank"), radii, strict=True
         )
     ]
 
 
-def _collisions(foot: FootDescription, *, contype: int = 0, conaffinity: int = 0) -> dict[str, Any]:
+def _collisions(side: Foot, *, contype: int = 0, conaffinity: int = 0) -> dict[str, Any]:
     """The bits by which the links of one leg meet those of the other, beside other bits."""
-    own, other = (4, 8) if foot.side is Foot.LEFT else (8, 4)
+    own, other = (4, 8) if side is Foot.LEFT else (8, 4)
     return {"contype": str(contype | own), "conaffinity": str(conaffinity | other)}
 
 
-def _sole(foot: FootDescription, contact: dict[str, Any], *, legs_collide: bool) -> Xml.Element:
+def _sole(robot: Robot, sole: Sole, contact: dict[str, Any], *, legs_collide: bool) -> Xml.Element:
     # The floor's bits are 1 and 2.
     bits: dict[str, Any] = {"contype": "2", "conaffinity": "1"}
     if legs_collide:
-        bits = _collisions(foot, contype=2, conaffinity=1)
-    (x0, x1), (y0, y1) = foot.sole_x, foot.sole_y
-    centre = [(x0 + x1) / 2, (y0 + y1) / 2, -foot.sole_height + _SOLE_THICKNESS / 2]
+        bits = _collisions(sole.side, contype=2, conaffinity=1)
+    (x0, x1), (y0, y1) = sole.x, sole.y
+    placement = robot.sole_frame(sole.side).placement
+    centre = placement.act(np.array([(x0 + x1) / 2, (y0 + y1) / 2, _SOLE_THICKNESS / 2]))
+    if not np.array_equal(placement.rotation, np.eye(3)):
+        bits["quat"] = _numbers(_wxyz(placement.rotation))
     half = [(x1 - x0) / 2, (y1 - y0) / 2, _SOLE_THICKNESS / 2]
     return Xml.Element(
         "geom",
-        name=f"{foot.side.value}_sole",
+        name=f"{sole.side.value}_sole",
         type="box",
         pos=_numbers(centre),
         size=_numbers(half),

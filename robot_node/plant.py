@@ -13,8 +13,9 @@ import numpy as np
 import pinocchio as pin
 
 from robot_node.mjcf import mjcf
-from shared.config.extensions import PLANTS, Taken
+from shared.config.extensions import PLANTS
 from shared.config.settings import PlantConfig
+from shared.extensions import Taken
 from shared.robots import Foot, Robot
 
 

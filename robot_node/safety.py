@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from shared.robots import Foot, Robot
+from shared.robots import Robot
+from shared.robots.standing import standing_torques
 from shared.wbc.finite import all_finite
-from shared.wbc.model import WholeBodyModel
 
 # Joint hold: stiffness [1/rad] and damping [s/rad] per N m of the joint's effort limit, at most.
 _HOLD_STIFFNESS_PER_EFFORT = 20.0
@@ -83,7 +83,7 @@ class JointHold:
     def __init__(self, robot: Robot, *, timestep: float) -> None:
         self._timestep = timestep
         self._standing = robot.q_standing[7:]
-        self._bearing = _standing_torque(robot)
+        self._bearing = standing_torques(robot)
         inertia = _free_inertia(robot)
         self._damping = np.minimum(
             _HOLD_DAMPING_PER_EFFORT * robot.effort_limit,
@@ -125,21 +125,6 @@ class JointHold:
             self._bearing + self._stiffness * (posture - q[7:]) - self._damping * v[6:]
         )
         return torque
-
-
-def _standing_torque(robot: Robot) -> np.ndarray:
-    """Torques of the robot at rest in the standing posture on both feet, (nv − 6,) [N m].
-
-    Of the wrenches on the soles that bear its weight these are the smallest.
-    """
-    model, q = WholeBodyModel(robot), robot.q_standing
-    at_rest = np.zeros(model.nv)
-    weight = model.inverse_dynamics(q, at_rest, at_rest, {}).copy()
-    J_sole = model.jacobians(q).J_sole
-    J_c = np.concatenate([J_sole[foot] for foot in Foot])
-    wrenches = np.linalg.lstsq(J_c[:, :6].T, weight[:6], rcond=None)[0]
-    torque: np.ndarray = weight[6:] - J_c[:, 6:].T.dot(wrenches)
-    return torque
 
 
 def _free_inertia(robot: Robot) -> np.ndarray:

@@ -15,10 +15,10 @@ import pytest
 from netem.networks import load_profile
 from remote_wbc import commands
 from shared.bus.zenoh_bus import ZenohBus
-from shared.config.toml_file import read_toml
 from shared.errors import ConfigError, LinkError, UserError, writing
 from shared.process.cli import command_parser, run
 from shared.regular_file import read_regular
+from shared.toml_file import read_toml
 
 # Every command that takes a file of settings, and every one that takes a profile.
 WITH_SETTINGS = (

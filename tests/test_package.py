@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from remote_wbc import __version__
-from shared.config.toml_file import read_toml
 from shared.process.entry import python
+from shared.toml_file import read_toml
 from tests.processes import ROOT
 
 PYPROJECT: dict[str, Any] = read_toml(ROOT / "pyproject.toml", what="the project")

@@ -18,7 +18,6 @@ import pinocchio as pin
 
 from shared.errors import UserError
 from shared.robots import Robot
-from shared.robots.description import robots_folder
 
 if TYPE_CHECKING:
     import trimesh
@@ -44,11 +43,10 @@ def cache_folder(robot_name: str) -> Path:
 def load_meshes(robot: Robot, *, cache: Path | None = None) -> tuple[LinkMesh, ...]:
     """Return a robot's visual shapes, converted or cached; `UserError` if a file is missing."""
     folder = cache_folder(robot.name) if cache is None else cache
-    # `package://example-robot-data/robots/…` is looked up beside the installed data package.
-    packages = [str(robots_folder().parent.parent)]
+    packages = [str(folder) for folder in robot.description.packages]
     try:
         geometry = pin.buildGeomFromUrdf(
-            robot.model, str(robot.urdf_path), pin.GeometryType.VISUAL, package_dirs=packages
+            robot.model, str(robot.description.urdf), pin.GeometryType.VISUAL, package_dirs=packages
         )
     except ValueError as error:
         raise UserError(f"meshes of {robot.name}: {error}") from None

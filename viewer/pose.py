@@ -66,7 +66,7 @@ class PoseModel:
         self._joints = tuple(joints)
         self._friction = friction
         self._soles = {foot: robot.model.getFrameId(sole_frame_name(foot)) for foot in Foot}
-        self._corners = {foot.side: foot.corners(CORNER_MARGIN) for foot in robot.description.feet}
+        self._corners = {sole.side: sole.corners(CORNER_MARGIN) for sole in robot.soles}
 
     def joints(self, q: np.ndarray) -> Placements:
         """Return the placements of the joints at q (nq,)."""

@@ -86,7 +86,7 @@ def read_run(path: Path) -> RunFolder:
     expected = tick_schema(nq=model.nq, nv=model.nv)
     if schema.slices != expected.slices:
         raise UserError(
-            f"{ticks}: expected the rows of a {config.robot.name} as this version records them, "
+            f"{ticks}: expected the rows of a {config.robot.label} as this version records them, "
             f"{_difference(expected, schema)}; play the run again"
         )
     with _reading(ticks):

@@ -109,7 +109,7 @@ def log_footsteps(recorder: Recorder, robot: Robot, motion: Motion, *, swing_hei
     """Log the planned soles of a walk as outlines, and the swing foot's paths between them."""
     if not isinstance(motion, Walking):
         return
-    soles = {foot.side: foot.corners()[[0, 1, 3, 2, 0], :2] for foot in robot.description.feet}
+    soles = {sole.side: sole.corners()[[0, 1, 3, 2, 0], :2] for sole in robot.soles}
     first = motion.steps[0]
     prints = [first.support, first.start, *(step.goal for step in motion.steps)]
     outlines = rr.LineStrips3D(

@@ -66,7 +66,7 @@ def main() -> int:
         _put_away(arguments.out, config)
     stop = StopSignal()
     status, terminal = status_of(config), Terminal()
-    hub = open_hub(arguments.listen, status, config.robot.name, out=arguments.out)
+    hub = open_hub(arguments.listen, status, config.robot.label, out=arguments.out)
     print(f"READY {arguments.listen}", flush=True)
     while not stop.requested:
         tell(status, terminal)

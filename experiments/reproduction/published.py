@@ -6,7 +6,7 @@ import functools
 from pathlib import Path
 from typing import Any
 
-from shared.config.toml_file import read_toml
+from shared.toml_file import read_toml
 
 
 @functools.cache

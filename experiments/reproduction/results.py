@@ -13,7 +13,7 @@ from experiments.reproduction.outcome import Row
 from experiments.studies.bisection import Limit, limits
 from experiments.studies.study_file import read_study
 from experiments.studies.trial_table import read_trials
-from shared.config.toml_file import read_toml
+from shared.toml_file import read_toml
 
 FIGURE_FOLDER = "figures"
 COMPUTE_TIMES = "compute-times.json"

@@ -1,4 +1,4 @@
-"""Identity of the code that plays a trial: a hash of the sources' syntax trees.
+"""Identity of the code that plays a trial: a hash of syntax trees, and of the robots' files.
 
 Comments, docstrings, arguments named `help` and layout do not change the identity. A constant or a
 name does. Trials from before 2026-12 have hashes of the files' bytes in their `about.json` and
@@ -15,7 +15,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from shared.config.toml_file import read_toml
+from shared.robots import CATALOGUE, description_of
+from shared.toml_file import read_toml
 
 ROOT = Path(__file__).parents[2]
 # The code that plays a trial. Studies and pictures can change without making trials void.
@@ -29,14 +30,19 @@ def code_version() -> str:
     files: Iterable[Path] = (
         path for part in parts for path in ([part] if part.is_file() else part.rglob("*.py"))
     )
-    return identity({path.relative_to(ROOT).as_posix(): path.read_bytes() for path in files})
+    sources = {path.relative_to(ROOT).as_posix(): path.read_bytes() for path in files}
+    # What a robot file states, without its comments.
+    robots = {f"robots/{name}": description_of(name).stated.encode() for name in CATALOGUE}
+    return identity(sources | robots)
 
 
 def identity(sources: Mapping[str, bytes]) -> str:
-    """Identity of Python sources by their path below the project's folder."""
+    """Identity of Python sources by their path below the project's folder, and of other texts."""
     digest = hashlib.sha256()
     for name in sorted(sources, key=lambda path: path.split("/")):
-        digest.update(f"{name}\0{_content(ast.parse(sources[name]))}\0".encode())
+        is_code = name.endswith(".py")
+        content: Any = _content(ast.parse(sources[name])) if is_code else sources[name]
+        digest.update(f"{name}\0{content}\0".encode())
     return digest.hexdigest()[:16]
 
 

@@ -59,9 +59,9 @@ from experiments.studies.study_tables import (
     quickened,
     variants_of,
 )
-from shared.config.toml_file import read_toml
 from shared.errors import ConfigError, one_of
 from shared.telemetry.schema import Source
+from shared.toml_file import read_toml
 
 SHIPPED = Path(__file__).parents[1] / "configs"
 DEFAULT_SEEDS = 20

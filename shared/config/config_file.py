@@ -14,18 +14,19 @@ from typing import Any, TypeVar
 
 import tomli_w
 
-from shared.config.extensions import TABLES, absolute
+from shared.config.extensions import TABLES
 from shared.config.settings import SETTINGS, RobotConfig, RunConfig
-from shared.config.toml_file import read_toml
 from shared.errors import ConfigError, one_of
 from shared.robots import description_of
+from shared.toml_file import read_toml
 
 
 def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None) -> RunConfig:
     """Return the settings of a TOML file (None: the defaults), with dotted-key overrides on top.
 
-    Keys under `[versions]`, which a run writes into its own copy, are ignored. A Python file that
-    the settings name is relative to the TOML file, and in overrides to the current folder.
+    Keys under `[versions]`, which a run writes into its own copy, are ignored. A file that the
+    settings name, of Python or of a robot, is relative to the TOML file, and in overrides to the
+    current folder.
     """
     table: dict[str, Any] = {}
     if path is not None:
@@ -43,13 +44,13 @@ def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None
 
 def _locate_extensions(table: dict[str, Any], folder: Path) -> None:
     """Give references to files in `folder` their whole path, in place."""
-    for key in TABLES:
+    for key, names in TABLES.items():
         *sections, name = key.split(".")
         within: Any = table
         for section in sections:
             within = within.get(section) if isinstance(within, dict) else None
         if isinstance(within, dict) and isinstance(within.get(name), str):
-            within[name] = absolute(within[name], folder)
+            within[name] = names.absolute(within[name], folder)
 
 
 def _defaults(table: dict[str, Any]) -> dict[str, Any]:

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from shared.config.extensions import Extensions
 from shared.errors import ConfigError, one_of
+from shared.extensions import Names
 
 _METADATA = "setting"
 _HOLDS = {"≥": operator.ge, "≤": operator.le, "<": operator.lt}
@@ -28,9 +28,9 @@ class Setting:
     """The description of a setting.
 
     A number has to be within its bounds, and finite unless it `may_be_infinite`. A word has to be
-    one of `choices`, which is a function if the words take long to find, and `Extensions` if others
-    may add some. `flag` is the option on the command line, `short` another name for it, `metavar`
-    an example of its value, and `read` makes the value from its text.
+    one of `choices`, which is a table of `Names` if others may add some. `flag` is the option on
+    the command line, `short` another name for it, `metavar` an example of its value, and `read`
+    makes the value from its text.
     """
 
     default: Any
@@ -40,7 +40,7 @@ class Setting:
     at_most: float | None = None
     below: float | None = None
     may_be_infinite: bool = False
-    choices: Sequence[str] | Callable[[], Sequence[str]] | Extensions = ()
+    choices: Sequence[str] | Names = ()
     flag: str = ""
     short: str = ""
     metavar: str | None = None
@@ -59,9 +59,7 @@ class Setting:
     @property
     def words(self) -> Sequence[str]:
         """The project's allowed words; empty if every value of its type is allowed."""
-        if isinstance(self.choices, Extensions):
-            return list(self.choices.own)
-        return self.choices() if callable(self.choices) else self.choices
+        return list(self.choices.own) if isinstance(self.choices, Names) else self.choices
 
     @property
     def bounds(self) -> list[tuple[str, float]]:
@@ -71,7 +69,7 @@ class Setting:
 
     def check(self, key: str, value: Any) -> None:
         """Raise a `ConfigError` with the allowed values if `key` cannot have this one."""
-        if isinstance(self.choices, Extensions):
+        if isinstance(self.choices, Names):
             try:
                 self.choices.check(value)
             except ConfigError as error:

@@ -1,7 +1,7 @@
 """Every setting of the project as frozen dataclasses; `config_file` reads them from TOML.
 
 A setting is described in one place, its field: see `setting`. Settings that depend on the robot
-have Romeo's values here; another robot's are in its catalogue entry. A value out of range is a
+have Romeo's values here; another robot's are in its robot file. A value out of range is a
 `ConfigError` that gives the range. Both ends of a link must agree on `task`, `robot`, `wbc` and
 `walk`; their digest travels in every message.
 """
@@ -9,12 +9,11 @@ have Romeo's values here; another robot's are in its catalogue entry. A value ou
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 
-from shared.config.extensions import CONTROLLERS, PLANTS, TABLES, TASKS, Extensions
+from shared.config.extensions import CONTROLLERS, PLANTS, TABLES, TASKS
 from shared.config.quantities import (
     Outage,
     Push,
@@ -25,17 +24,12 @@ from shared.config.quantities import (
 )
 from shared.config.setting import sections_of, setting
 from shared.errors import ConfigError
+from shared.extensions import Names
+from shared.robots.catalogue import ROBOTS
 
 CORRECTION_LEVELS = ("b", "b_adjoint", "c")
 
 _PUSH = "100N@1.0s:0.2s:+y"
-
-
-def _robots() -> Sequence[str]:
-    # Imported here: `wbc ps` should not wait for numpy.
-    from shared.robots import CATALOGUE
-
-    return tuple(CATALOGUE)
 
 
 @dataclass(frozen=True)
@@ -122,12 +116,17 @@ class WbcConfig:
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """The robot, by its entry in the catalogue."""
+    """The robot, by its name or its robot file."""
 
-    name: str = setting("romeo", help="the robot", choices=_robots, flag="--robot")
+    name: str = setting("romeo", help="the robot", choices=ROBOTS, flag="--robot")
     torque_clamp: float = setting(
         1.45, help="limit on a commanded torque, × the URDF's effort limit", at_least=0.01
     )
+
+    @property
+    def label(self) -> str:
+        """The robot's name on the link, in titles and tables."""
+        return ROBOTS.label(self.name)
 
 
 @dataclass(frozen=True)
@@ -522,12 +521,15 @@ class RunConfig:
         """The digest of the settings on which both ends must agree, eight bytes."""
         # A task of one's own may lie elsewhere on the other machine. The motion has its own digest.
         task = self.task.rpartition(":")[2]
-        agreed = repr((task, self.robot, self.wbc, self.walk))
+        robot = self.robot
+        if robot.name not in ROBOTS.own:  # so may the file of a robot, which counts by its content
+            robot = replace(robot, name=f"{robot.label} {ROBOTS.identity(robot.name)}")
+        agreed = repr((task, robot, self.wbc, self.walk))
         return hashlib.sha256(agreed.encode()).digest()[:8]
 
 
-def extended(config: RunConfig) -> list[tuple[Extensions, str]]:
-    """Return the tables and values of a run's controller, task and plant that are not the
+def extended(config: RunConfig) -> list[tuple[Names, str]]:
+    """Return the tables and values of a run's controller, task, plant and robot that are not the
     project's.
     """
     values = [(table, attrgetter(key)(config)) for key, table in TABLES.items()]

@@ -9,20 +9,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-import pinocchio as pin
-
 from shared.config.settings import WalkConfig
 from shared.errors import ConfigError
 from shared.motion.footprint import Footprint
 from shared.robots import Foot, Robot
-from shared.robots.description import FootDescription
+from shared.robots.standing import leg_reach
 from shared.wbc.model import WholeBodyModel
 
 # Soles that come closer than this side by side would touch [m].
 SOLE_CLEARANCE = 0.01
-# Part of the stretched leg that a step may use: the rest is needed to lift and land.
-REACH_MARGIN = 0.97
 MAX_TURN = math.radians(35.0)
 
 
@@ -118,27 +113,11 @@ def _check(robot: Robot, step: Step, *, number: int) -> None:
         )
 
 
-def leg_reach(robot: Robot) -> float:
-    """Greatest horizontal distance of a foot from below its hip, with the hip at standing height
-    [m].
-    """
-    model = robot.model
-    data = model.createData()
-    pin.forwardKinematics(model, data, robot.q_standing)
-    ankle = model.getJointId(robot.description.feet[0].joint)
-    chain = [joint for joint in model.supports[ankle] if joint > 1]
-    lengths = [np.linalg.norm(model.jointPlacements[joint].translation) for joint in chain[1:]]
-    stretched = float(sum(lengths)) * REACH_MARGIN
-    height = float(data.oMi[chain[0]].translation[2] - data.oMi[ankle].translation[2])
-    return math.sqrt(max(0.0, stretched**2 - height**2))
-
-
 def _narrowest(robot: Robot, *, turn: float) -> float:
     """Least distance of the sole origins side by side at which turned soles stay apart [m]."""
-    feet: dict[Foot, FootDescription] = {foot.side: foot for foot in robot.description.feet}
-    left_inner = -feet[Foot.LEFT].sole_y[0]
-    right_inner = feet[Foot.RIGHT].sole_y[1]
-    length = max(abs(x) for x in feet[Foot.LEFT].sole_x)
+    soles = {sole.side: sole for sole in robot.soles}
+    left_inner, right_inner = -soles[Foot.LEFT].y[0], soles[Foot.RIGHT].y[1]
+    length = max(abs(x) for x in soles[Foot.LEFT].x)
     return left_inner + right_inner * math.cos(turn) + length * math.sin(turn)
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from shared.config.extensions import TASKS, Taken
+from shared.config.extensions import TASKS
 from shared.config.settings import RunConfig
+from shared.extensions import Taken
 from shared.motion.standing import Standing
 from shared.motion.walking import Walking
 from shared.robots import Robot

@@ -56,9 +56,7 @@ class Walking:
         standing = Standing(robot).reference(0)
         self._standing = standing
         self._com_height = float(standing.com[2])
-        self._zmp_in_sole = {
-            foot.side: (sum(foot.sole_x) / 2, 0.0) for foot in robot.description.feet
-        }
+        self._zmp_in_sole = {sole.side: (sum(sole.x) / 2, 0.0) for sole in robot.soles}
         self._base_in_standing = standing.world_from_base
         self.phases = _phases(config, self.steps)
         self._ends = [phase.end_ns for phase in self.phases]
@@ -136,7 +134,7 @@ class Walking:
 
     def _support_phases(self, robot: Robot) -> list[SupportPhase]:
         """Loaded soles in time, with the ZMP under the support foot, at last between the feet."""
-        soles = {foot.side: foot.corners()[:, :2] for foot in robot.description.feet}
+        soles = {sole.side: sole.corners()[:, :2] for sole in robot.soles}
         phases = []
 
         def add(

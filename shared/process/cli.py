@@ -18,11 +18,11 @@ from typing import Any, NoReturn
 
 from shared.bus.base import CLOSING
 from shared.commands import wbc
-from shared.config.extensions import Extensions
 from shared.config.quantities import parse_duration_ns, parse_seconds
 from shared.config.setting import Setting
 from shared.config.settings import SETTINGS, RunConfig
 from shared.errors import ConfigError, UserError, did_you_mean
+from shared.extensions import Names
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, end_at_interrupt
 
 EXIT_STANDING = 0
@@ -167,10 +167,10 @@ def add_view_argument(parser: argparse.ArgumentParser) -> None:
 
 def _add_flag(group: argparse._ActionsContainer, setting: Setting) -> None:
     text = setting.help + (f" [{setting.unit}]" if setting.unit else "")
-    if isinstance(setting.choices, Extensions):
+    if isinstance(setting.choices, Names):
         # To find the names of installed packages takes long.
         names = setting.choices.names() if _ASKS_FOR_HELP & set(sys.argv) else setting.choices.own
-        text += f"; one of {', '.join(names)}, module:Name or file.py:Name"
+        text += f"; one of {', '.join(names)}, {setting.choices.forms}"
     elif setting.words:
         text += f"; one of {', '.join(setting.words)}"
     options: dict[str, Any] = {"help": text.replace("%", "%%")}
@@ -186,7 +186,7 @@ def _add_flag(group: argparse._ActionsContainer, setting: Setting) -> None:
 
 def _reader(setting: Setting) -> Callable[[str], Any]:
     """Return the function that makes the setting's value from its text on the command line."""
-    if isinstance(setting.choices, Extensions):
+    if isinstance(setting.choices, Names):
         return partial(_extension, setting.choices)
     if setting.words:
         return str.lower  # all words of the settings are in lower case
@@ -204,7 +204,7 @@ def _reader(setting: Setting) -> Callable[[str], Any]:
     return value
 
 
-def _extension(choices: Extensions, text: str) -> str:
+def _extension(choices: Names, text: str) -> str:
     return text.lower() if text.lower() in choices.own else text
 
 

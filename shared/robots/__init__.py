@@ -1,14 +1,15 @@
 """Robots: the data that the controller needs, and the catalogue of known robots."""
 
-from shared.robots.catalogue import CATALOGUE, description_of, load_robot
-from shared.robots.description import Foot, FootDescription, Robot, RobotDescription
+from shared.robots.catalogue import CATALOGUE, ROBOTS, description_of, load_robot
+from shared.robots.description import Foot, Robot, RobotDescription, Sole
 
 __all__ = [
     "CATALOGUE",
+    "ROBOTS",
     "Foot",
-    "FootDescription",
     "Robot",
     "RobotDescription",
+    "Sole",
     "description_of",
     "load_robot",
 ]

@@ -1,22 +1,22 @@
 """The data that the controller and the simulated plant need about a robot, beside its URDF.
 
-`RobotDescription` is plain data, an entry of the catalogue. `Robot` is that entry loaded: the
-Pinocchio model with sole frames added, a standing configuration with the soles on the ground, and
-the actuators' limits. Looking up an entry, as the settings do, loads no Pinocchio.
+A `RobotDescription` is the content of a robot file: see `shared/robots/robot_file.py`. A `Robot` is
+loaded from it: the Pinocchio model with sole frames added, a standing configuration with the soles
+on the ground, and the actuators' limits. Descriptions are read without Pinocchio and numpy.
 """
 
 from __future__ import annotations
 
 import enum
+import hashlib
 import importlib.metadata
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 if TYPE_CHECKING:
+    import numpy as np
     import pinocchio as pin
 
 
@@ -28,44 +28,82 @@ class Foot(str, enum.Enum):
 
 
 @dataclass(frozen=True)
-class FootDescription:
-    """One foot: the joint that carries it and the rectangle of its sole that may touch the ground.
+class Sole:
+    """The rectangle of a sole that may touch the ground, in the sole frame [m].
 
-    The sole frame has the axes of the joint's frame, x forward and y left, and its origin
-    `sole_height` below the joint [m]. The rectangle is given in that frame [m].
+    The sole frame has x forward, y left and z up when the robot stands, and z = 0 on the ground.
     """
 
     side: Foot
-    joint: str
-    sole_height: float
-    sole_x: tuple[float, float]
-    sole_y: tuple[float, float]
+    x: tuple[float, float]
+    y: tuple[float, float]
 
     def corners(self, margin: float = 0.0) -> np.ndarray:
-        """Corners of the sole rectangle shrunk by `margin` [m], in the sole frame, shape (4, 3)."""
-        (x0, x1), (y0, y1) = self.sole_x, self.sole_y
+        """Corners of the rectangle shrunk by `margin` [m], shape (4, 3)."""
+        import numpy as np
+
+        (x0, x1), (y0, y1) = self.x, self.y
         return np.array(
             [[x, y, 0.0] for x in (x0 + margin, x1 - margin) for y in (y0 + margin, y1 - margin)]
         )
 
 
 @dataclass(frozen=True)
-class RobotDescription:
-    """A catalogue entry. Paths are relative to the robots folder of example-robot-data.
+class FootDescription:
+    """One foot: the joint or frame of the URDF that carries it, and its sole frame in that one.
 
-    `posture` names the SRDF's group state in which the robot stands. `leg_radii` are the distances
-    of the inner side of the thigh and of the shank from the lines between the joints [m].
-    `settings` has, for each task, the defaults that this robot changes, by the keys of a settings
-    file. A file and flags come on top.
+    `translation` [m] and `rotation`, roll, pitch and yaw [rad] as in a URDF, place the sole frame.
+    `sole` None takes the rectangle, and the height, from the URDF's collision geometry.
+    """
+
+    side: Foot
+    sole: Sole | None
+    joint: str = ""
+    frame: str = ""
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Posture:
+    """The posture in which a robot stands.
+
+    It is a group state of the SRDF, or `angles` of joints [rad], 0 for the others, with the base
+    turned by roll, pitch and yaw [rad].
+    """
+
+    state: str = ""
+    angles: Mapping[str, float] = field(default_factory=dict)
+    base: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class RobotDescription:
+    """The content of a robot file. `name` is that of the file.
+
+    `packages` are folders in which `package://` is looked up. `leg_radii` are the distances of the
+    inner side of the thigh and of the shank from the lines between the joints [m]. `settings` has,
+    for each task, the defaults that this robot changes, by the keys of a settings file. A file and
+    flags come on top. `stated` is a text of all that the file states, without places of files.
     """
 
     name: str
-    urdf: str
-    srdf: str
-    posture: str
+    urdf: Path
+    srdf: Path | None
+    packages: tuple[Path, ...]
+    posture: Posture
     feet: tuple[FootDescription, FootDescription]
-    leg_radii: tuple[float, float]
+    leg_radii: tuple[float, float] | None = None
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    stated: str = ""
+
+    @property
+    def digest(self) -> str:
+        """A digest of the content of the robot file, the URDF and the SRDF, wherever they lie."""
+        digest = hashlib.sha256(self.stated.encode())
+        for path in (self.urdf, self.srdf):
+            digest.update(path.read_bytes() if path is not None and path.is_file() else b"")
+        return digest.hexdigest()[:16]
 
 
 @dataclass(frozen=True)
@@ -78,22 +116,26 @@ class Robot:
 
     description: RobotDescription
     model: pin.Model
+    soles: tuple[Sole, Sole]
     q_standing: np.ndarray
     effort_limit: np.ndarray
     velocity_limit: np.ndarray
     position_limit: np.ndarray
     mass: float
-    urdf_path: Path
 
     @property
     def name(self) -> str:
         return self.description.name
 
+    def sole_frame(self, side: Foot) -> pin.Frame:
+        """The frame of a sole: `parentJoint`, the joint that carries it, and `placement` on it."""
+        return self.model.frames[self.model.getFrameId(sole_frame_name(side))]
 
-def robots_folder() -> Path:
-    """Folder of the installed robot data (package `example-robot-data`)."""
+
+def data_folder() -> Path:
+    """Folder of the installed robot data, in which `package://example-robot-data` lies."""
     distribution = importlib.metadata.distribution("example-robot-data")
-    return Path(str(distribution.locate_file("cmeel.prefix/share/example-robot-data/robots")))
+    return Path(str(distribution.locate_file("cmeel.prefix/share")))
 
 
 def sole_frame_name(side: Foot) -> str:

@@ -44,7 +44,7 @@ class BalanceLaw:
         # Share of the newest tick in the estimate, per second of difference.
         self._share = min(1.0, period / config.observer_time) if config.observer_time else 0.0
         self._period = period
-        self._corners = {foot.side: foot.corners() for foot in robot.description.feet}
+        self._corners = {sole.side: sole.corners() for sole in robot.soles}
         self._disturbance: Point = (0.0, 0.0)
         self._last_velocity: Point | None = None
         self._support: list[Point] = []

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.robots import Foot, FootDescription, RobotDescription
+from shared.robots import Foot, Robot, Sole
 
 POINTS_PER_FOOT = 4
 FORCES_PER_FOOT = 3 * POINTS_PER_FOOT
@@ -90,16 +90,16 @@ class ContactGeometry:
 
 
 def contact_geometry(
-    robot: RobotDescription, mode: ContactMode, *, friction: float, min_normal_force: float
+    robot: Robot, mode: ContactMode, *, friction: float, min_normal_force: float
 ) -> ContactGeometry:
     """Wrench maps and friction rows of a mode; `min_normal_force` is per contact point [N]."""
-    feet = {foot.side: foot for foot in robot.feet}
+    soles = {sole.side: sole for sole in robot.soles}
     n_points = POINTS_PER_FOOT * len(mode.feet)
     C = np.kron(np.eye(n_points), _pyramid(friction))
     bound = np.tile([0.0, 0.0, 0.0, 0.0, min_normal_force], n_points)
     return ContactGeometry(
         mode=mode,
-        wrench_map={side: _wrench_map(feet[side]) for side in mode.feet},
+        wrench_map={side: _wrench_map(soles[side]) for side in mode.feet},
         C=C,
         l=bound,
     )
@@ -118,9 +118,9 @@ def _pyramid(friction: float) -> np.ndarray:
     )
 
 
-def _wrench_map(foot: FootDescription) -> np.ndarray:
+def _wrench_map(sole: Sole) -> np.ndarray:
     blocks = []
-    for x, y, z in foot.corners(CORNER_MARGIN):
+    for x, y, z in sole.corners(CORNER_MARGIN):
         skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         blocks.append(np.vstack([np.eye(3), skew]))
     return np.hstack(blocks)

@@ -96,7 +96,7 @@ class Stack:
         self.limits = limits
         self.slack = np.empty(0) if limits is None else limits.slack
         self.contacts: ContactGeometry = contact_geometry(
-            robot.description,
+            robot,
             mode,
             friction=config.friction,
             min_normal_force=config.min_normal_force,

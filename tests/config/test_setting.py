@@ -23,7 +23,7 @@ class Lamp:
     share: float = setting(0.5, help="of the room", at_most=1.0)
     offset: float = setting(0.0, help="from the middle", unit="m")
     colour: str = setting("red", help="it has", choices=("red", "green"), flag="--colour")
-    kind: str = setting("arc", help="of lamp", choices=lambda: ("arc", "led"))
+    kind: str = setting("arc", help="of lamp", choices=("arc", "led"))
     lit: bool = setting(True, help="at the beginning", flag="--lamp-lit")
     flashes: tuple[str, ...] = setting((), help="in between", flag="--flash", metavar="1s@2s")
 

@@ -15,7 +15,8 @@ import yaml
 from deploy.container import READY_FILE
 from deploy.services import Service, load_services
 from shared.config.config_file import load_config
-from shared.robots import CATALOGUE
+from shared.robots import CATALOGUE, description_of
+from shared.robots.description import data_folder
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 # It is part of ./deploy/up itself.
@@ -135,7 +136,12 @@ def test_old_compose_reads_the_file_too(compose):
 
 def test_the_image_keeps_the_models_of_all_robots_of_the_catalogue(dockerfile):
     kept = set(re.findall(r"! -name (\w+)", dockerfile))
-    assert kept == {each.urdf.partition("/")[0] for each in CATALOGUE.values()}
+    assert kept == {_folder(description_of(name).urdf) for name in CATALOGUE}
+
+
+def _folder(urdf):
+    """The folder of a robot among those of the installed package."""
+    return urdf.relative_to(data_folder() / "example-robot-data" / "robots").parts[0]
 
 
 def test_the_image_has_what_the_lock_names_and_what_the_services_are_made_of(dockerfile, declared):

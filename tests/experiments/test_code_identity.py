@@ -12,7 +12,7 @@ from pathlib import PurePosixPath
 import pytest
 
 from experiments.studies.code_identity import PARTS, ROOT, code_version, identity, present_identity
-from shared.config.toml_file import read_toml
+from shared.toml_file import read_toml
 
 SOURCE = '''"""What it is."""
 

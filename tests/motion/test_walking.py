@@ -49,7 +49,7 @@ def sampled(walking, config, *, period_ms=5):
 
 def support_polygon(robot, walking, time_ns):
     """Corners of the loaded soles at a time, (n, 2)."""
-    soles = {foot.side: foot.corners()[:, :2] for foot in robot.description.feet}
+    soles = {foot.side: foot.corners()[:, :2] for foot in robot.soles}
     phase = walking._phase(time_ns)
     if phase.step is None:
         prints = [walking.steps[0].support, walking.steps[0].start]

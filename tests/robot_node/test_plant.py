@@ -134,7 +134,7 @@ def test_a_push_accelerates_the_base_body_at_its_centre_of_mass(in_the_air, robo
 def test_soles_of_both_models_are_at_the_same_place(plant, robot, model, states):
     for q, v in states[:20]:
         plant.set_state(q, v)
-        for foot in robot.description.feet:
+        for foot in robot.soles:
             placement = model.sole_placements(q)[foot.side]
             geom = plant.data.geom(f"{foot.side.value}_sole")
             bottom = geom.xpos - plant.model.geom(geom.id).size[2] * geom.xmat.reshape(3, 3)[:, 2]

@@ -7,7 +7,7 @@ import pytest
 
 from robot_node.plant import MujocoPlant
 from shared.config.settings import PlantConfig
-from shared.robots import CATALOGUE, load_robot
+from shared.robots import CATALOGUE, Foot, load_robot
 
 
 @pytest.fixture(scope="module", params=list(CATALOGUE))
@@ -37,7 +37,7 @@ def drive(plant, robot, joint, torque, ticks):
 
 def test_a_joint_stops_at_its_range_only_if_the_plant_has_limits(any_robot):
     robot = any_robot
-    joint = robot.model.getJointId(robot.description.feet[0].joint) - 2
+    joint = robot.sole_frame(Foot.LEFT).parentJoint - 2
     highest = robot.position_limit[1, joint]
     free = drive(hanging(robot), robot, joint, 0.5, 400)
     stopped = drive(hanging(robot, joint_limits=True), robot, joint, 0.5, 400)
@@ -69,7 +69,7 @@ def test_a_motor_beyond_its_velocity_limit_may_brake(robot):
 def test_legs_meet_only_if_they_collide(any_robot):
     robot = any_robot
     # The second joint of the left leg, after its yaw: roll, here by 0.3 rad to either side.
-    foot = robot.model.getJointId(robot.description.feet[0].joint)
+    foot = robot.sole_frame(Foot.LEFT).parentJoint
     roll = [joint for joint in robot.model.supports[foot] if joint > 1][1] - 2
 
     def meetings(**config):

@@ -11,15 +11,14 @@ import pytest
 import trimesh
 
 from shared.robots import Robot
-from shared.robots.description import robots_folder
 from viewer.meshes import cache_folder, load_meshes, to_glb
 
 
 @pytest.fixture(scope="module")
 def geometry(robot: Robot) -> pin.GeometryModel:
-    packages = [str(robots_folder().parent.parent)]
+    packages = [str(folder) for folder in robot.description.packages]
     return pin.buildGeomFromUrdf(
-        robot.model, str(robot.urdf_path), pin.GeometryType.VISUAL, package_dirs=packages
+        robot.model, str(robot.description.urdf), pin.GeometryType.VISUAL, package_dirs=packages
     )
 
 

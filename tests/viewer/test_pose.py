@@ -34,9 +34,9 @@ def test_standing_contact_points_are_the_shrunk_corners_of_both_soles_on_the_gro
     points = pose.frame(robot.q_standing, np.zeros(24), ContactMode.DOUBLE_SUPPORT).contact_points
     assert points.shape == (8, 3)
     np.testing.assert_allclose(points[:, 2], 0.0, atol=1e-6)
-    left = robot.description.feet[0]
-    length = left.sole_x[1] - left.sole_x[0] - 2 * CORNER_MARGIN
-    width = left.sole_y[1] - left.sole_y[0] - 2 * CORNER_MARGIN
+    left = robot.soles[0]
+    length = left.x[1] - left.x[0] - 2 * CORNER_MARGIN
+    width = left.y[1] - left.y[0] - 2 * CORNER_MARGIN
     assert np.ptp(points[:4, 0]) == pytest.approx(length, abs=1e-6)
     assert np.ptp(points[:4, 1]) == pytest.approx(width, abs=1e-6)
     assert points[:4, 1].min() > points[4:, 1].max(), "left foot first, on the positive side"
@@ -59,7 +59,7 @@ def test_forces_and_points_have_the_wrench_that_the_sole_frames_give(
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, q)
     total = pin.Force.Zero()
-    for k, foot in enumerate(robot.description.feet):
+    for k, foot in enumerate(robot.soles):
         sole = data.oMf[robot.model.getFrameId(f"{foot.side.value}_sole_frame")]
         for corner, force in zip(foot.corners(CORNER_MARGIN), f.reshape(2, 4, 3)[k], strict=True):
             total += sole.act(pin.Force(force, np.cross(corner, force)))

@@ -65,7 +65,7 @@ def test_the_cop_is_commanded_at_most_so_far_beyond_the_support(robot, model, re
     now = model.kinematics(robot.q_standing, v)
     toes = max(
         now.sole_placement(foot.side).act(corner)[0]
-        for foot in robot.description.feet
+        for foot in robot.soles
         for corner in foot.corners()
     )
     cop = now.com[0] - asked[0] * now.com[2] / 9.81

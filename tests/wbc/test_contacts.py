@@ -11,9 +11,7 @@ FRICTION, LEAST = 0.5, 1.0
 
 @pytest.fixture(params=list(ContactMode), ids=lambda mode: mode.name)
 def geometry(request, robot):
-    return contact_geometry(
-        robot.description, request.param, friction=FRICTION, min_normal_force=LEAST
-    )
+    return contact_geometry(robot, request.param, friction=FRICTION, min_normal_force=LEAST)
 
 
 def test_the_modes_travel_as_the_numbers_of_the_wire_format():
@@ -40,7 +38,7 @@ def test_sizes_are_twelve_forces_and_twenty_rows_per_foot(geometry):
 
 def test_wrench_is_the_sum_of_the_point_forces_and_of_their_moments(geometry, robot, rng):
     f = rng.standard_normal(geometry.n_forces)
-    feet = {foot.side: foot for foot in robot.description.feet}
+    feet = {foot.side: foot for foot in robot.soles}
     wrenches = geometry.wrenches(f)
     assert tuple(wrenches) == geometry.mode.feet
     for k, side in enumerate(geometry.mode.feet):
@@ -54,7 +52,7 @@ def test_wrench_is_the_sum_of_the_point_forces_and_of_their_moments(geometry, ro
 def test_pushing_up_at_the_front_tips_the_foot_back(geometry, robot):
     # A vertical force ahead of the sole's origin has a moment about −y: the sign of the maps.
     side = geometry.mode.feet[0]
-    points = robot.description.feet[0].corners(CORNER_MARGIN)
+    points = robot.soles[0].corners(CORNER_MARGIN)
     f = np.zeros(geometry.n_forces)
     front = int(np.argmax(points[:, 0]))
     f[3 * front + 2] = 10.0

@@ -1,0 +1,196 @@
+"""Checks of a robot as it stands: the feet, the centre of mass, the reach and the torques."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio as pin
+
+from shared.robots.description import Foot, Robot
+
+# Part of the stretched leg that a step may use: the rest is needed to lift and land.
+REACH_MARGIN = 0.97
+# A sole is level within this tilt, and both are of one height within this distance [rad, m].
+_TILT, _HEIGHT = 0.02, 0.005
+_AHEAD = 0.3
+# A posture may be beyond a joint's range by rounding [rad].
+_ROUNDING = 1e-4
+# Least horizontal reach of a leg from below its hip [m].
+_LEAST_REACH = 0.03
+
+
+def posture_in_range(robot: Robot) -> Iterator[str]:
+    """Yield the joints whose angle in the posture is outside their range."""
+    names = list(robot.model.names)[2:]
+    for name, angle, lower, upper in zip(
+        names, robot.q_standing[7:], *robot.position_limit, strict=True
+    ):
+        if not lower - _ROUNDING <= angle <= upper + _ROUNDING:
+            yield (
+                f"expected joint {name} between {lower:.4g} and {upper:.4g} rad in the posture, "
+                f"got {angle:.4g}; change the posture or the URDF's limits"
+            )
+
+
+def sole_axes(robot: Robot) -> Iterator[str]:
+    """Yield the feet whose sole frame has not z up and x forward."""
+    for side, sole in placements(robot).items():
+        R = sole.rotation
+        forward = "x forward and z up"
+        if R[2, 2] < 1.0 - _TILT or R[0, 0] < 1.0 - _AHEAD:
+            axes = f"x {_direction(R[:, 0])} and z {_direction(R[:, 2])}"
+            yield (
+                f"expected a sole frame with {forward}, that of the {side.value} foot has {axes}; "
+                f"try feet.{side.value}.rotation = {_suggested(robot, side)}"
+            )
+        elif math.hypot(R[2, 0], R[2, 1]) > _TILT:
+            tilt = math.degrees(math.asin(min(1.0, math.hypot(R[2, 0], R[2, 1]))))
+            yield (
+                f"expected a level sole, that of the {side.value} foot is tilted by {tilt:.2g}°; "
+                f"change the angles of the ankle, or try feet.{side.value}.rotation = "
+                f"{_suggested(robot, side)}"
+            )
+
+
+def feet_on_their_sides(robot: Robot) -> Iterator[str]:
+    """Yield a fault if the left foot is not to the left of the right one, or both are one."""
+    left, right = (placements(robot)[side] for side in (Foot.LEFT, Foot.RIGHT))
+    if robot.sole_frame(Foot.LEFT).parentJoint == robot.sole_frame(Foot.RIGHT).parentJoint:
+        yield "expected two feet, feet.left and feet.right are on the same joint"
+    elif left.translation[1] <= right.translation[1]:
+        yield (
+            f"expected the left foot on the left (y), got it at {left.translation[1]:.3f} m and "
+            f"the right one at {right.translation[1]:.3f} m; swap feet.left and feet.right, or "
+            "turn the base of the posture, so that x is forward"
+        )
+
+
+def soles_below(robot: Robot) -> Iterator[str]:
+    """Yield a fault if the soles are not at one height, below all joints."""
+    soles = placements(robot)
+    heights = {side: float(sole.translation[2]) for side, sole in soles.items()}
+    apart = abs(heights[Foot.LEFT] - heights[Foot.RIGHT])
+    if apart > _HEIGHT:
+        lower = min(heights, key=lambda side: heights[side])
+        yield (
+            f"expected both soles at one height, the {lower.value} one is {apart:.3f} m lower; "
+            "bend both legs alike, or correct the translations of the feet"
+        )
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, robot.q_standing)
+    for joint in range(1, robot.model.njoints):
+        below = float(data.oMi[joint].translation[2])
+        if below < 0.0:
+            yield (
+                f"expected the soles below all joints, joint {robot.model.names[joint]} is "
+                f"{-below:.3f} m below them; correct the translations of the feet, or the base of "
+                "the posture"
+            )
+
+
+def over_the_feet(robot: Robot) -> Iterator[str]:
+    """Yield a fault if the centre of mass is not above the rectangle around both soles."""
+    com = pin.centerOfMass(robot.model, robot.model.createData(), robot.q_standing)
+    corners = np.vstack(
+        [
+            [placements(robot)[sole.side].act(corner) for corner in sole.corners()]
+            for sole in robot.soles
+        ]
+    )
+    for axis, name in ((0, "x"), (1, "y")):
+        least, most = corners[:, axis].min(), corners[:, axis].max()
+        if not least < com[axis] < most:
+            yield (
+                f"expected the centre of mass above the feet, {name} between {least:.3f} and "
+                f"{most:.3f} m, got {com[axis]:.3f}; change the posture, or the soles"
+            )
+
+
+def bent_legs(robot: Robot) -> Iterator[str]:
+    """Yield a fault if the legs stand stretched, so that no step is in their reach."""
+    reach = leg_reach(robot)
+    if reach < _LEAST_REACH:
+        yield (
+            f"expected legs that reach {_LEAST_REACH:g} m or more forward, got {reach:.3f}; bend "
+            "hips, knees and ankles in the posture"
+        )
+
+
+def torque_margin(robot: Robot) -> Iterator[str]:
+    """Yield the joints that cannot hold the posture with the URDF's effort limits."""
+    torques = standing_torques(robot)
+    for name, torque, limit in zip(
+        list(robot.model.names)[2:], torques, robot.effort_limit, strict=True
+    ):
+        if abs(torque) >= limit:
+            yield (
+                f"expected a joint {name} that can hold the posture, it needs {abs(torque):.3g} "
+                f"of {limit:.3g} N m; straighten the posture, or correct its limit in the URDF"
+            )
+
+
+def placements(robot: Robot) -> dict[Foot, pin.SE3]:
+    """World from sole, for each foot, as the robot stands."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, robot.q_standing)
+    frames = {side: robot.sole_frame(side) for side in Foot}
+    return {side: data.oMi[each.parentJoint] * each.placement for side, each in frames.items()}
+
+
+def leg_reach(robot: Robot) -> float:
+    """Greatest horizontal distance of a foot from below its hip, with the hip at standing height
+    [m].
+    """
+    model = robot.model
+    data = model.createData()
+    pin.forwardKinematics(model, data, robot.q_standing)
+    ankle = robot.sole_frame(Foot.LEFT).parentJoint
+    chain = [joint for joint in model.supports[ankle] if joint > 1]
+    lengths = [np.linalg.norm(model.jointPlacements[joint].translation) for joint in chain[1:]]
+    stretched = float(sum(lengths)) * REACH_MARGIN
+    height = float(data.oMi[chain[0]].translation[2] - data.oMi[ankle].translation[2])
+    return math.sqrt(max(0.0, stretched**2 - height**2))
+
+
+def standing_torques(robot: Robot) -> np.ndarray:
+    """Torques of the joints in the posture (nv − 6,) [N m], with the least wrenches on the soles
+    that carry the weight.
+    """
+    model, data = robot.model, robot.model.createData()
+    gravity = pin.computeGeneralizedGravity(model, data, robot.q_standing)
+    jacobians = np.vstack(
+        [
+            pin.computeFrameJacobian(
+                model, data, robot.q_standing, _frame_id(robot, side), pin.LOCAL
+            )
+            for side in Foot
+        ]
+    )
+    wrenches = np.linalg.lstsq(jacobians[:, :6].T, gravity[:6], rcond=None)[0]
+    torques: np.ndarray = gravity[6:] - jacobians[:, 6:].T @ wrenches
+    return torques
+
+
+def _frame_id(robot: Robot, side: Foot) -> int:
+    index: int = robot.model.getFrameId(robot.sole_frame(side).name)
+    return index
+
+
+def _direction(axis: np.ndarray) -> str:
+    """The direction that a unit vector in the world comes nearest to."""
+    k = int(np.argmax(np.abs(axis)))
+    names = (("backward", "forward"), ("right", "left"), ("down", "up"))
+    return names[k][int(axis[k] > 0.0)]
+
+
+def _suggested(robot: Robot, side: Foot) -> str:
+    """Roll, pitch and yaw with which a sole frame would have the axes of the world."""
+    foot = next(each for each in robot.description.feet if each.side is side)
+    written = pin.rpy.rpyToMatrix(*foot.rotation)
+    in_world = placements(robot)[side].rotation
+    # World from sole is world from carrier, times what is written now.
+    carrier = in_world @ written.T
+    angles = pin.rpy.matrixToRpy(carrier.T)
+    return "[" + ", ".join(f"{angle + 0.0:.5g}" for angle in np.round(angles, 5)) + "]"

@@ -1,0 +1,173 @@
+"""The tree of a URDF and its checks, before Pinocchio's parser sees it.
+
+The parser makes independent motors of mimic joints, accepts links without mass and joints without
+limits, and prints rather than raises. So these are looked for first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+from shared.errors import ConfigError
+from shared.regular_file import read_regular
+
+_MAX_BYTES = 20_000_000
+_FIXED = "fixed"
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint of a URDF. Limits are NaN where the URDF has none; `mimics` names another joint."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    effort: float
+    velocity: float
+    lower: float
+    upper: float
+    mimics: str | None
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """Links with their masses [kg], 0 without one, and the joints between them."""
+
+    masses: dict[str, float]
+    joints: tuple[Joint, ...]
+
+    @property
+    def moving(self) -> list[Joint]:
+        return [joint for joint in self.joints if joint.kind != _FIXED]
+
+    def carried(self, link: str) -> float:
+        """The mass of a link with all links that are fixed to it [kg]."""
+        fixed = [
+            joint.child for joint in self.joints if (joint.parent, joint.kind) == (link, _FIXED)
+        ]
+        return self.masses.get(link, 0.0) + sum(self.carried(child) for child in fixed)
+
+
+def read_urdf(path: Path, *, what: str) -> Urdf:
+    """Read a URDF; raise `ConfigError`, which begins with `what`, if it is none."""
+    try:
+        root = Xml.fromstring(read_regular(path, at_most=_MAX_BYTES))
+    except OSError as error:
+        raise ConfigError(f"{what}: cannot read {path}: {error.strerror}") from None
+    except Xml.ParseError as error:
+        raise ConfigError(f"{what}: {path} is not valid XML: {error}") from None
+    links = [each for each in root.iterfind("link") if each.get("name")]
+    if root.tag != "robot" or not links:
+        raise ConfigError(f"{what}: expected a URDF, a <robot> with links, got {path}")
+    return Urdf(
+        masses={
+            link.get("name", ""): _number(link.find("inertial/mass"), "value") for link in links
+        },
+        joints=tuple(_joint(each) for each in root.iterfind("joint")),
+    )
+
+
+def _joint(element: Xml.Element) -> Joint:
+    def link(tag: str) -> str:
+        found = element.find(tag)
+        return "" if found is None else found.get("link", "")
+
+    limit, mimic = element.find("limit"), element.find("mimic")
+    return Joint(
+        name=element.get("name", ""),
+        kind=element.get("type", ""),
+        parent=link("parent"),
+        child=link("child"),
+        effort=_number(limit, "effort", math.nan),
+        velocity=_number(limit, "velocity", math.nan),
+        lower=_number(limit, "lower"),
+        upper=_number(limit, "upper"),
+        mimics=None if mimic is None else mimic.get("joint", ""),
+    )
+
+
+def _number(element: Xml.Element | None, name: str, missing: float = 0.0) -> float:
+    text = None if element is None else element.get(name)
+    if text is None:
+        return missing
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def one_tree(urdf: Urdf) -> Iterator[str]:
+    """Yield the links that make a loop, have no place, or are a second root."""
+    parents: dict[str, Joint] = {}
+    for joint in urdf.joints:
+        for link in (joint.parent, joint.child):
+            if link not in urdf.masses:
+                yield f"expected a link of the URDF, joint {joint.name} names {link!r}"
+        if joint.child in parents:
+            yield (
+                f"expected a tree, link {joint.child} closes a loop by joint {joint.name}, beside "
+                f"{parents[joint.child].name}; remove one of them"
+            )
+        parents[joint.child] = joint
+    roots = [link for link in urdf.masses if link not in parents]
+    if len(roots) != 1:
+        yield (
+            f"expected one root link, got {', '.join(roots) or 'a loop of all links'}; "
+            "connect the links by joints"
+        )
+
+
+def hinges(urdf: Urdf) -> Iterator[str]:
+    """Yield the joints that are no hinges with a range, and those that mimic another."""
+    if not urdf.moving:
+        yield "expected a URDF with hinges, all its joints are fixed"
+    for joint in urdf.moving:
+        if joint.mimics is not None:
+            yield (
+                f"expected independent joints, joint {joint.name} mimics {joint.mimics}; make it "
+                "fixed in the URDF"
+            )
+        elif joint.kind != "revolute":
+            yield (
+                f"expected hinges with limits, joint {joint.name} is {joint.kind or 'of no type'}; "
+                "make it revolute with a range, or fixed"
+            )
+        elif not -math.inf < joint.lower < joint.upper < math.inf:
+            yield (
+                f"expected a range of angles, joint {joint.name} has lower {joint.lower:g} and "
+                f"upper {joint.upper:g}; write its limits into the URDF [rad]"
+            )
+
+
+def efforts(urdf: Urdf) -> Iterator[str]:
+    """Yield the joints without a finite positive limit of torque or velocity."""
+    for joint in urdf.moving:
+        for name, value, unit in (
+            ("effort", joint.effort, "N m"),
+            ("velocity", joint.velocity, "rad/s"),
+        ):
+            if not 0.0 < value < math.inf:
+                got = "none" if math.isnan(value) else f"{value:g}"
+                yield (
+                    f"expected a finite positive {name} limit, joint {joint.name} has {got}; write "
+                    f"that of its motor into the URDF [{unit}]"
+                )
+
+
+def masses(urdf: Urdf) -> Iterator[str]:
+    """Yield the links that move by themselves and have no positive mass."""
+    for link, mass in urdf.masses.items():
+        if mass < 0.0 or math.isnan(mass) or mass == math.inf:
+            yield f"expected a finite mass of at least 0, link {link} has {mass:g} kg"
+    for joint in urdf.moving:
+        mass = urdf.carried(joint.child)
+        if mass == 0.0:
+            yield (
+                f"expected a mass above 0, link {joint.child}, which joint {joint.name} moves, has "
+                "none; give it an inertial in the URDF, or make the joint fixed"
+            )
