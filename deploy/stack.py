@@ -86,7 +86,7 @@ def in_words(run: Run) -> list[str]:
     table = differing(settings_table(run.config), settings_table(RunConfig()))
     settings = tomli_w.dumps(table).strip().splitlines() or ["all at their defaults"]
     goes = "until Ctrl-C" if run.stays else f"for {run.config.duration:g} s of the task"
-    lines = [f"would run {goes}, as {run.name or run.config.robot.name}", "services, in order:"]
+    lines = [f"would run {goes}, as {run.name or run.config.robot.label}", "services, in order:"]
     lines += [f"  {step.name:<7} python -m {' '.join(step.arguments)}" for step in run.plan.steps]
     lines += ["settings:", *(f"  {line}" for line in settings)]
     if run.scene:

@@ -22,7 +22,7 @@ def parts(config: RunConfig) -> tuple[str, ...]:
     """Return the robot, the task, the controller and the link of a run in words."""
     outages = config.link.outage
     return (
-        config.robot.name.capitalize(),
+        config.robot.label.capitalize(),
         TASKS.label(config.task),
         CONTROLLERS.label(config.controller),
         config.link.network + "".join(f", {outage}" for outage in outages),

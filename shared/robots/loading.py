@@ -91,6 +91,8 @@ def _load(description: RobotDescription) -> Robot:
         reason = str(error).splitlines()[0]
         raise ConfigError(f"{what}: expected a URDF that Pinocchio reads, got: {reason}") from None
     q_standing = _posture(description, model, what=what)
+    for index in range(1, model.njoints):
+        model.inertias[index] = _repaired(model.inertias[index])
     soles = []
     for foot in description.feet:
         joint, placement = _carrier(foot, model, what=what)
@@ -104,8 +106,6 @@ def _load(description: RobotDescription) -> Robot:
             pin.Frame(sole_frame_name(foot.side), joint, 0, placement, pin.FrameType.OP_FRAME)
         )
         soles.append(sole)
-    for index in range(1, model.njoints):
-        model.inertias[index] = _repaired(model.inertias[index])
     return Robot(
         description=description,
         model=model,

@@ -159,7 +159,8 @@ def standing_torques(robot: Robot) -> np.ndarray:
     that carry the weight.
     """
     model, data = robot.model, robot.model.createData()
-    gravity = pin.computeGeneralizedGravity(model, data, robot.q_standing)
+    at_rest = np.zeros(model.nv)
+    gravity = pin.rnea(model, data, robot.q_standing, at_rest, at_rest)
     jacobians = np.vstack(
         [
             pin.computeFrameJacobian(
@@ -169,7 +170,7 @@ def standing_torques(robot: Robot) -> np.ndarray:
         ]
     )
     wrenches = np.linalg.lstsq(jacobians[:, :6].T, gravity[:6], rcond=None)[0]
-    torques: np.ndarray = gravity[6:] - jacobians[:, 6:].T @ wrenches
+    torques: np.ndarray = gravity[6:] - jacobians[:, 6:].T.dot(wrenches)
     return torques
 
 

@@ -22,7 +22,7 @@ def mask(foot: int, kinds: dict[int, int]) -> int:
 
 def points(robot: Robot, side: str) -> list[int]:
     """The points of the left sole on one of its sides, by their places."""
-    corners = robot.description.feet[0].corners()
+    corners = robot.soles[0].corners()
     axis, sign = {"toe": (0, 1), "heel": (0, -1), "left": (1, 1), "right": (1, -1)}[side]
     middle = corners[:, axis].mean()
     return [k for k in range(4) if sign * (corners[k, axis] - middle) > 0]

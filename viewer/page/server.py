@@ -161,7 +161,7 @@ class PageServer:
             self._slots.discard(slot)
 
     async def _send(self, connection: ServerConnection, slot: asyncio.Event) -> None:
-        """Send the newest state whenever there is one and the browser has taken the last one."""
+        """Send the newest state each time that the browser has taken the last one."""
         try:
             while True:
                 await slot.wait()
