@@ -158,11 +158,17 @@ def test_commands_are_answered_and_refusals_are_told() -> None:
         async with connect(stream(server.address)) as browser:
             await browser.recv()
             for line, answer in (
-                ("link cut", "LINK CUT"),
-                ("nonsense", "command: expected one of push, link, got 'nonsense'"),
+                ("link cut", {"answer": "LINK CUT", "refused": False}),
+                (
+                    "nonsense",
+                    {
+                        "answer": "command: expected one of push, link, got 'nonsense'",
+                        "refused": True,
+                    },
+                ),
             ):
                 await browser.send(line)
-                assert json.loads(await browser.recv()) == {"answer": answer}
+                assert json.loads(await browser.recv()) == answer
             await browser.send("x" * 301)
             await browser.wait_closed()
             while server.browsers:
@@ -215,6 +221,17 @@ def test_a_state_has_the_newest_poses_numbers_and_outages(robot: Robot) -> None:
     ((begin, end),) = strip["outages"]["up"]
     assert begin == pytest.approx(0.4 + 0.0151 - 1.1, abs=0.01)
     assert end == 0.0, "the link is silent since"
+
+
+def test_a_push_stays_in_the_picture_for_a_while(robot: Robot) -> None:
+    schema, rows = tick_rows(robot, 2000)
+    feed = Feed(robot, RunConfig(), [1])
+    shown = []
+    for k in range(0, 2000, 100):
+        feed.take([encode_rows(schema, rows[k : k + 100])])
+        shown.append(json.loads(feed.state)["push"][1])
+    # The push lasts from 1 s to 1.2 s.
+    assert shown == 10 * [0.0] + 7 * [100.0] + 3 * [0.0]
 
 
 def test_states_are_numbers_whatever_comes(robot: Robot) -> None:

@@ -26,6 +26,8 @@ from viewer.verdict import Verdict
 
 # Poses this far apart are smooth enough, as the page interpolates [ns].
 POSE_NS = 25_000_000
+# A push stays in the picture for this time at least, also in a slow browser [ns].
+PUSH_NS = 500_000_000
 _DIGITS = 4
 _MAX_EVENTS = 6
 
@@ -39,6 +41,7 @@ class Feed:
         self._pose = PoseModel(robot, joints, friction=config.wbc.friction)
         self._verdict = Verdict(robot)
         self._strip = Strip()
+        self._push, self._pushed_ns = np.zeros(3), 0
         self._events: deque[str] = deque(maxlen=_MAX_EVENTS)
         self._state: dict[str, Any] = {"verdict": self._verdict.text}
 
@@ -92,8 +95,7 @@ class Feed:
         self._strip.take_ticks(schema, rows)
         last = {name: rows[-1, where] for name, where in schema.slices.items()}
         fallen, begun = self._verdict.fallen, len(running) > 0
-        pushes = schema.column(rows, "push_n")
-        strongest = pushes[np.argmax(np.abs(pushes).sum(axis=1))]
+        self._take_push(schema, rows)
         self._state = {
             "verdict": self._verdict.text,
             "fallen": fallen,
@@ -104,9 +106,19 @@ class Feed:
             "age_ms": _rounded(last["projector_age_ns"][0] * 1e-6) if begun else None,
             "com_error_cm": None if fallen else _rounded(100.0 * last["com_error_m"][0]),
             "com": [_rounded(each) for each in last["com"]],
-            "push": [_rounded(each) for each in strongest],
+            "push": [_rounded(each) for each in self._push],
             "poses": self._poses(rows),
         }
+
+    def _take_push(self, schema: Schema, rows: np.ndarray) -> None:
+        """Note the strongest push of the rows, and keep it for a while."""
+        pushes = schema.column(rows, "push_n")
+        sizes = np.abs(pushes).sum(axis=1)
+        now_ns = int(schema.column(rows, "wall_ns")[-1])
+        if sizes.max() > 0.0:
+            self._push, self._pushed_ns = pushes[np.argmax(sizes)], now_ns
+        elif now_ns - self._pushed_ns > PUSH_NS:
+            self._push = np.zeros(3)
 
     def _poses(self, rows: np.ndarray) -> list[dict[str, Any]]:
         """Return a pose for each `POSE_NS`, and the last one."""

@@ -23,7 +23,7 @@ function connect() {
   socket = new WebSocket(address);
   socket.onmessage = (message) => {
     const news = JSON.parse(message.data);
-    if ("answer" in news) say(news.answer); else take(news);
+    if ("answer" in news) say(news.answer, news.refused); else take(news);
   };
   socket.onclose = () => {
     verdict("the viewer has ended", "bad");
@@ -175,9 +175,10 @@ function showEvents(events) {
 }
 
 // Refusals and notes; the next command clears them.
-function say(text) {
+function say(text, refused) {
   const line = document.createElement("li");
   line.textContent = text;
+  line.dataset.kind = refused ? "bad" : "";
   at("answers").prepend(line);
   while (at("answers").children.length > ANSWERS) at("answers").lastChild.remove();
 }
@@ -185,7 +186,7 @@ function say(text) {
 function send(line) {
   at("answers").replaceChildren();
   if (socket.readyState === WebSocket.OPEN) socket.send(line);
-  else say(`${line}: not sent, there is no connection`);
+  else say(`${line}: not sent, there is no connection`, true);
 }
 
 document.addEventListener("click", ({target}) => {

@@ -44,7 +44,7 @@ class Camera {
 export class RobotCanvas {
   constructor(canvas, robot) {
     this.canvas = canvas;
-    this.context = canvas.getContext("2d", {alpha: false});
+    this.context = canvas.getContext("2d");
     this.robot = robot;
     this.camera = new Camera();
     // Flat indices: no small arrays are made for each picture.

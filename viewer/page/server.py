@@ -143,8 +143,9 @@ class PageServer:
             sending = asyncio.create_task(self._send(connection, slot))
             try:
                 async for line in connection:
-                    if answer := await self._carry_out(line):
-                        await connection.send(json.dumps({"answer": answer}))
+                    answer, refused = await self._carry_out(line)
+                    if answer:
+                        await connection.send(json.dumps({"answer": answer, "refused": refused}))
             except ConnectionClosed:
                 pass
             finally:
@@ -170,10 +171,11 @@ class PageServer:
         except ConnectionClosed:
             pass
 
-    async def _carry_out(self, line: str | bytes) -> str:
+    async def _carry_out(self, line: str | bytes) -> tuple[str, bool]:
+        """Carry a command out. Return the answer, and whether it is a refusal."""
         text = line if isinstance(line, str) else line.decode(errors="replace")
         async with self._commanding:
             try:
-                return await asyncio.to_thread(self._command, text)
+                return await asyncio.to_thread(self._command, text), False
             except UserError as error:
-                return str(error)
+                return str(error), True
