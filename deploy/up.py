@@ -120,7 +120,7 @@ def _play(arguments: argparse.Namespace, declared: dict[str, Service], ready_fd:
         Registry().check(None, robot=robot, services=plan.names)
     out = _run_folder(arguments.out, config, services)
     if VIEWER in services and view == "off" and config.view == "auto":
-        print("no screen: the run is recorded, not shown (--view web for a browser)", flush=True)
+        print("no screen: the run is recorded, not shown (--view page for a browser)", flush=True)
     return asyncio.run(StackRun(dataclasses.replace(described, out=out)).run())
 
 

@@ -17,7 +17,7 @@ from viewer.colours import SOLES, Colour
 
 # A side is drawn if it is at its limit in any tick of a span of this length.
 SPAN_NS = 20_000_000
-_POINTS = ("heel right", "heel left", "toe right", "toe left")  # as `FootDescription.corners`
+_POINTS = ("heel right", "heel left", "toe right", "toe left")  # as `Sole.corners`
 _SIDES = {
     frozenset({0, 1, 2, 3}): "whole sole",
     frozenset({2, 3}): "toe",

@@ -20,9 +20,9 @@ PATH = "title"
 
 def parts(config: RunConfig) -> tuple[str, ...]:
     """Return the robot, the task, the controller and the link of a run in words."""
-    outages = config.link.outage
+    robot, outages = config.robot.label, config.link.outage
     return (
-        config.robot.label.capitalize(),
+        robot[:1].upper() + robot[1:],
         TASKS.label(config.task),
         CONTROLLERS.label(config.controller),
         config.link.network + "".join(f", {outage}" for outage in outages),

@@ -59,7 +59,7 @@ def served(check: Callable[[PageServer], Awaitable[None]]) -> None:
         return line.upper()
 
     async def run() -> None:
-        server = PageServer(ROBOT, command)
+        server = PageServer(ROBOT, '{"time": 0}', command)
         await server.open(0)
         try:
             await asyncio.wait_for(check(server), PATIENCE_SECONDS)
@@ -251,6 +251,13 @@ def test_after_a_fall_the_page_names_no_command(robot: Robot) -> None:
     rows[50:, schema.slices["source"]] = 2
     state = feed_of(robot, encode_rows(schema, rows))
     assert (state["verdict"], state["source"], state["contact"]) == ("fell at 0.05 s", "", "")
+
+
+def test_a_state_before_the_first_row_has_all_that_the_page_reads(robot: Robot) -> None:
+    state = feed_of(robot)
+    assert state["verdict"] == "waits for the edge"
+    assert state["strip"]["ages"] == state["events"] == []
+    assert state["strip"]["outages"] == state["strip"]["delays_ms"] == {}
 
 
 def test_events_are_kept_for_late_browsers_and_bounded(robot: Robot) -> None:

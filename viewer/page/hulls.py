@@ -27,9 +27,9 @@ _DIGITS = 4
 def load_hulls(robot: Robot, *, cache: Path | None = None) -> dict[str, Any]:
     """Return the hulls as the page reads them, made once and then cached.
 
-    `joints` are the numbers of the joints that carry shapes. A shape of `shapes` has an index
-    `joint` into them, and a `colour` (3,) from 0 to 255. Its `vertices` (n, 3) [m] are in the
-    joint's frame, and its `faces` (m, 3) are counter-clockwise from outside.
+    `joints` are the numbers of the joints that carry shapes. Each of `shapes` has an index `joint`
+    into them, and `vertices` (n, 3) [m] in the joint's frame. Its `faces` (m, 3) are
+    counter-clockwise from outside, and its `colour` (3,) is from 0 to 255.
     """
     file = (cache_folder(robot.name) if cache is None else cache) / f"hulls-{_VERSION}.json"
     try:

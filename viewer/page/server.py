@@ -38,18 +38,19 @@ _PATIENCE = 20.0
 
 
 class PageServer:
-    """The page of one run. `robot` is the JSON that does not change: title and hulls.
+    """The page of one run. `robot` is the JSON that does not change: title and hulls. `state` is the
+    first state.
 
     `command` carries out a line of text and returns an answer, empty if there is nothing to say. It
     raises `UserError` to refuse. It is called on a thread, one call at a time.
     """
 
-    def __init__(self, robot: str, command: Callable[[str], str]) -> None:
+    def __init__(self, robot: str, state: str, command: Callable[[str], str]) -> None:
         self._token = secrets.token_urlsafe(16)
         self._robot = robot
         self._command = command
         self._commanding = asyncio.Lock()
-        self._state = "{}"
+        self._state = state
         self._slots: set[asyncio.Event] = set()
         self._server: Server | None = None
         self._port = 0
@@ -162,7 +163,7 @@ class PageServer:
             self._slots.discard(slot)
 
     async def _send(self, connection: ServerConnection, slot: asyncio.Event) -> None:
-        """Send the newest state each time that the browser has taken the last one."""
+        """Send each new state. While the browser takes one, the next replaces those in between."""
         try:
             while True:
                 await slot.wait()

@@ -46,7 +46,7 @@ def watch_page(
         return
     feed = Feed(robot, config, hulls["joints"])
     words = {"words": parts(config), "focus": focus_height(robot), "walks": config.task == "walk"}
-    server = PageServer(json.dumps({**hulls, **words}), partial(_carry_out, bus))
+    server = PageServer(json.dumps({**hulls, **words}), feed.state, partial(_carry_out, bus))
     seen = bus.publisher(VIEW_KEY)
 
     async def serve() -> None:
