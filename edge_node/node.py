@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_node.session import RobotSession, Sessions
+from edge_node.step_planning import StepPlanning
 from shared.bus.base import RefusalCounter
 from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
@@ -25,7 +26,13 @@ from shared.wbc.reference import Motion, coming_switches
 from shared.wbc.torque import recover_torque
 from shared.wbc.whole_body import WholeBodyController
 from shared.wire.codec import Codec
-from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
+from shared.wire.messages import (
+    FactorisationMessage,
+    PlanMessage,
+    ProjectorMessage,
+    RobotState,
+)
+from shared.wire.plans import PlanCodec
 
 # Of the refresh distance, and at most so far [rad]: further ahead velocities tell little.
 _LEAD, _MAX_LEAD = 0.7, 0.05
@@ -64,8 +71,11 @@ class EdgeNode:
         self.solved: Counter[str] = Counter()
         self._controller = WholeBodyController(robot, config, motion)
         self._codec = Codec(robot, config, motion)
+        self._plan_codec = PlanCodec(self._codec)
         self._motion = motion
         self._config = config
+        self._plans: list[tuple[str, bytes]] = []
+        self._stepper = None if config.stepping.mode == "off" else StepPlanning(robot, config)
         signs = np.random.default_rng([config.seed, 11]).choice([-1.0, 1.0], robot.model.nv - 6)
         self._posture_error = config.correction.posture_error * signs
 
@@ -90,12 +100,27 @@ class EdgeNode:
         while (turn := self.sessions.next()) is not None:
             robot, session, state = turn
             self._controller.last_active = session.last_active
+            if self._stepper is not None:
+                self._plan_steps(self._stepper, robot, session, state)
             if state.held_sequences is None:
                 return self._project(robot, state)
             answer = self._factorise(robot, session, state, state.held_sequences)
             if answer is not None:
                 return answer
         return None
+
+    def take_plans(self) -> list[tuple[str, bytes]]:
+        """Return the robot and the message of each plan and step law to send now."""
+        plans, self._plans = self._plans, []
+        return plans
+
+    def _plan_steps(
+        self, stepper: StepPlanning, robot: str, session: RobotSession, state: RobotState
+    ) -> None:
+        content = session.steps.due(state, stepper, self._controller.model)
+        if content is not None:
+            message = PlanMessage(state.session, state.sequence, state.stamp_ns, content)
+            self._plans.append((robot, self._plan_codec.encode(message)))
 
     def solve(self, state: RobotState) -> tuple[WholeBodySolution, np.ndarray]:
         """Solve the full QP at a state. Return its solution and b. Count and encode nothing."""
@@ -105,6 +130,7 @@ class EdgeNode:
             time_ns=state.time_ns,
             mode=state.mode,
             com_command=state.com_command,
+            reference=None if self._stepper is None else self._stepper.reference(state),
         )
 
     def _project(self, robot: str, state: RobotState) -> Answer:

@@ -47,7 +47,8 @@ class FactorisationRefresh:
         None if no answer is due at all.
         """
         self._note_arrivals(state, held_sequences)
-        needed = {state.mode, self._next_mode(state)}
+        # A robot that decides on its steps may lift any foot next.
+        needed = set(ContactMode) if state.steps else {state.mode, self._next_mode(state)}
         modes = tuple(mode for mode in ContactMode if self._is_due(mode, state, needed, posture))
         silent = state.stamp_ns - self._answered_ns >= self._config.retry_ns
         return modes if modes or silent else None

@@ -14,6 +14,7 @@ from collections import Counter
 from edge_node.limits import StateLimits
 from edge_node.posture import PostureEstimate
 from edge_node.refresh import FactorisationRefresh
+from edge_node.step_planning import StepDelivery
 from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
 from shared.robots import Robot
@@ -49,6 +50,7 @@ class RobotSession:
         self.newest: RobotState | None = None
         self.posture = PostureEstimate(config.correction.average_ns)
         self.refresh = FactorisationRefresh(config.correction, motion)
+        self.steps = StepDelivery(config.correction.retry_ns)
         self.last_active: dict[ContactMode, ActiveSet] = {}
         self.began_ns = self.heard_ns = now_ns
         self.n_states = 0

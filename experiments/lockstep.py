@@ -42,7 +42,7 @@ from shared.output.summary import summary
 from shared.robots import load_robot
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema
-from shared.wire.channels import DOWNLINK, UPLINK
+from shared.wire.channels import DOWNLINK, PLANS, UPLINK
 from shared.wire.codec import Codec
 from shared.wire.operator import Command, CommandEvent, LinkCommand, Reset
 
@@ -99,7 +99,7 @@ class Lockstep:
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
         self._numbers = itertools.count()
         self._edge_busy = False
-        self._edge_inbox, self._robot_inbox = Inbox(), Inbox()
+        self._edge_inbox, self._robot_inbox, self._plan_inbox = Inbox(), Inbox(), Inbox()
         self._torque_limits = torque_limits(robot, clamp=config.robot.torque_clamp)
         self._profile: Profile | None = None
         self._lines: list[DelayLine[Delivery]] = []
@@ -131,6 +131,7 @@ class Lockstep:
     def _connect(self, robot: str) -> None:
         near, far = MemoryBus(self.clock), MemoryBus(self.clock)
         up_key, down_key = UPLINK.key_for(robot), DOWNLINK.key_for(robot)
+        plans_key = PLANS.key_for(robot)
         config = self.config
         if config.link.network == "direct":
             far = near
@@ -138,15 +139,24 @@ class Lockstep:
             profile = load_network(config.link.network)
             self._profile = profile
             self._lines = make_lines(profile, config.link, seed=config.seed, start_ns=0)
+            down = self._shim(
+                DOWN, near.publisher(down_key).forward, near.publisher(plans_key).forward
+            )
             near.subscribe(up_key, self._shim(UP, far.publisher(up_key).forward))
-            far.subscribe(down_key, self._shim(DOWN, near.publisher(down_key).forward))
+            far.subscribe(down_key, down)
+            far.subscribe(plans_key, lambda delivery: down(delivery._replace(on_plans=True)))
         self._uplink = near.publisher(up_key)
         self._downlink = far.publisher(down_key)
+        self._plans = far.publisher(plans_key)
         far.subscribe(up_key, self._edge_receives)
         near.subscribe(down_key, self._robot_inbox.put)
+        near.subscribe(plans_key, self._plan_inbox.put)
 
     def _shim(
-        self, direction: int, forward: Callable[[Delivery], None]
+        self,
+        direction: int,
+        forward: Callable[[Delivery], None],
+        forward_plan: Callable[[Delivery], None] | None = None,
     ) -> Callable[[Delivery], None]:
         line = self._lines[direction]
 
@@ -154,7 +164,10 @@ class Lockstep:
             now_ns = self.clock.now_ns()
             for due in line.pop_due(now_ns):
                 record_message(self.link.row(), direction, due, released_ns=now_ns)
-                forward(due.item)
+                if due.item.on_plans and forward_plan is not None:
+                    forward_plan(due.item)
+                else:
+                    forward(due.item)
 
         def receive(delivery: Delivery) -> None:
             sent_ns = self.clock.now_ns()
@@ -177,17 +190,21 @@ class Lockstep:
             self.edge.receive(delivery.data, self.clock.now_ns())
         started = time.perf_counter_ns()
         answer = self.edge.step()
-        if answer is None:
+        plans = self.edge.take_plans()
+        if answer is None and not plans:
             return
         solve_ns = time.perf_counter_ns() - started
-        answer.record(self.solves.row(), wall_ns=self.clock.now_ns(), solve_ns=solve_ns)
-        if answer.solution.projector is not None:
-            self._unsolved.pop(answer.state_sequence, None)
+        if answer is not None:
+            answer.record(self.solves.row(), wall_ns=self.clock.now_ns(), solve_ns=solve_ns)
+            if answer.solution.projector is not None:
+                self._unsolved.pop(answer.state_sequence, None)
         self._edge_busy = True
 
         def finish() -> None:
             self._edge_busy = False
-            if answer.data is not None:
+            for _, plan in plans:
+                self._plans.publish(plan)
+            if answer is not None and answer.data is not None:
                 self._downlink.publish(answer.data)
             self._edge_starts()
 
@@ -229,7 +246,7 @@ class Lockstep:
         self.at(now_ns + loop.period_ns, _RANK_MEASURE, self._measure)
 
     def _command(self) -> None:
-        self._tick.end(self.clock.now_ns(), self._robot_inbox.take())
+        self._tick.end(self.clock.now_ns(), self._robot_inbox.take(), plans=self._plan_inbox.take())
 
     def _result(self, *, wall_seconds: float) -> TrialResult:
         robot, edge, link = self._reports(wall_seconds=wall_seconds)
@@ -263,7 +280,7 @@ class Lockstep:
             sent=self._uplink.sent,
             received=self._robot_inbox.counter.received,
             lost=self._robot_inbox.counter.lost,
-            refused=dict(self.robot.cache.refused),
+            refused=dict(self.robot.refused),
             answers=self.robot.answers.by_sender,
             sensor_faults=dict(self.robot.sensor_guard.faults),
             torque_limits=self._torque_limits,

@@ -33,7 +33,7 @@ from shared.process.service import (
     wait_while_held,
 )
 from shared.telemetry.schema import LINK_SCHEMA
-from shared.wire.channels import DOWNLINK, LINK_KEY, UPLINK
+from shared.wire.channels import DOWNLINK, LINK_KEY, PLANS, UPLINK
 from shared.wire.operator import (
     CLOCK_KEY,
     EVENTS_KEY,
@@ -127,6 +127,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
     sides = Sides(
         uplink=far.publisher(UPLINK.key_for(robot), wait_when_full=True),
         downlink=near.publisher(DOWNLINK.key_for(robot), wait_when_full=True),
+        plans=near.publisher(PLANS.key_for(robot), wait_when_full=True),
     )
     shim = Shim(
         profile,
@@ -140,6 +141,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
     )
     near.subscribe(UPLINK.key_for(robot), shim.receive(UP))
     far.subscribe(DOWNLINK.key_for(robot), shim.receive(DOWN))
+    far.subscribe(PLANS.key_for(robot), shim.receive(DOWN, plans=True))
     if log.hub is not None:
         _serve_commands(log.hub, shim)
     suspend_garbage_collection()

@@ -35,10 +35,11 @@ _CONSTANT_SECONDS = 0.01
 
 @dataclass(frozen=True)
 class Sides:
-    """The publishers of both directions: `uplink` on the far bus, `downlink` on the near bus."""
+    """The publishers of both directions: `uplink` on the far bus, the others on the near bus."""
 
     uplink: Publisher
     downlink: Publisher
+    plans: Publisher
 
 
 class Shim:
@@ -68,6 +69,7 @@ class Shim:
         self._config = config
         self._seed = seed
         self._publishers = (sides.uplink, sides.downlink)
+        self._plans = sides.plans
         self._row = row
         self._clock = clock
         self._say = say
@@ -83,10 +85,12 @@ class Shim:
         """The number of messages that wait to be released."""
         return sum(len(line) for line in self._lines)
 
-    def receive(self, direction: int) -> Callable[[Delivery], None]:
-        """The callback for the messages of one direction."""
+    def receive(self, direction: int, *, plans: bool = False) -> Callable[[Delivery], None]:
+        """The callback for the messages of one direction, or for its `plans`."""
 
         def take(delivery: Delivery) -> None:
+            if plans:
+                delivery = delivery._replace(on_plans=True)
             sent_ns = self._sent_ns(delivery)
             with self._changed:
                 if self._over:
@@ -195,7 +199,8 @@ class Shim:
         released = []
         for direction, messages in enumerate(ready):
             for due in messages:
-                self._publishers[direction].forward(due.item)
+                publisher = self._plans if due.item.on_plans else self._publishers[direction]
+                publisher.forward(due.item)
                 released.append((direction, due, self.time.now_ns()))
         with self._changed:
             for direction, due, released_ns in released:

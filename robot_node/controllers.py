@@ -90,6 +90,12 @@ class Controller(ABC):
     cache: AnswerCache
     on_board: OnBoard | None = None
     com_command: np.ndarray | None = None
+    balance: BalanceLaw | None = None
+
+    @property
+    def disturbance(self) -> np.ndarray:
+        """The external force, as the shift of the CoP that balances it, (2,) [m]."""
+        return np.zeros(2) if self.balance is None else self.balance.disturbance
 
     def should_stop(self) -> bool:
         """Return whether the robot should come to a stand while it can."""
@@ -149,21 +155,21 @@ class PurelyRemote(Controller):
 
     def __init__(self, parts: ControllerParts) -> None:
         self.cache: ProjectorCache = ProjectorCache(parts.codec, session=parts.session)
-        self._balance = make_balance_law(parts)
+        self.balance = make_balance_law(parts)
         self._model = parts.model
         self._stacks = parts.stacks
         self._wrenches: dict[Foot, np.ndarray] = {}
 
     def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:
-        if self._balance is not None:
+        if self.balance is not None:
             now = self._model.kinematics(q, v)
-            self.com_command = self._balance.com_command(now, reference, self._wrenches)
+            self.com_command = self.balance.com_command(now, reference, self._wrenches)
 
     def command(self, *, time_ns: int) -> Decision | None:
         entry = self.cache.newest_solution
         if entry is None or entry.tau is None or entry.y is None:
             return None
-        if self._balance is not None:
+        if self.balance is not None:
             contacts = self._stacks[entry.projector.mode].contacts
             self._wrenches = contacts.wrenches(entry.y[self._model.nv :])
         return _decision(entry, entry.tau, entry.y)
@@ -185,7 +191,7 @@ class LocallyAssisted(Controller):
         self._model = parts.model
         self._stacks = parts.stacks
         self._verifier = ProjectorVerifier(parts.model, parts.stacks, motion.reference(0))
-        self._balance = make_balance_law(parts)
+        self.balance = make_balance_law(parts)
         self._wrenches: dict[Foot, np.ndarray] = {}
         self._stack: Stack
         self._q: np.ndarray
@@ -196,8 +202,8 @@ class LocallyAssisted(Controller):
         self._q, self._v = q, v
         self._stack = self._stacks[reference.mode]
         now = self._model.kinematics(q, v)
-        if self._balance is not None:
-            self.com_command = self._balance.com_command(now, reference, self._wrenches)
+        if self.balance is not None:
+            self.com_command = self.balance.com_command(now, reference, self._wrenches)
             reference = dataclasses.replace(reference, com_command=self.com_command)
         self._b = self._stack.right_hand_side(now, reference)
 
@@ -210,7 +216,7 @@ class LocallyAssisted(Controller):
             if entry.proven or self._verifier.is_plausible(force) or self._is_exact(entry):
                 # From now on it may grow stale, which is no fault of the edge.
                 entry.proven = True
-                if self._balance is not None:
+                if self.balance is not None:
                     self._wrenches = stack.contacts.wrenches(y[model.nv :])
                 return _decision(entry, tau, y)
             self.cache.reject(entry)

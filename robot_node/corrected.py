@@ -86,7 +86,7 @@ class LocallyCorrected(Controller):
             )
         self._model = parts.model
         self._stacks = parts.stacks
-        self._balance = make_balance_law(parts)
+        self.balance = make_balance_law(parts)
         self._config = config
         self._contraction = Contraction()
         self._iterate = Iterate.zero(parts.stacks[ContactMode.DOUBLE_SUPPORT])
@@ -121,9 +121,9 @@ class LocallyCorrected(Controller):
             self._iterate, self._steps = Iterate.zero(stack), 1
         self._stack = stack
         self._now = stack.kinematics_at(self._iterate.y, model=self._model, q=q, v=v)
-        if self._balance is not None:
+        if self.balance is not None:
             wrenches = stack.contacts.wrenches(self._iterate.y[self._model.nv :])
-            self.com_command = self._balance.com_command(self._now, reference, wrenches)
+            self.com_command = self.balance.com_command(self._now, reference, wrenches)
             reference = dataclasses.replace(reference, com_command=self.com_command)
         self._reference = reference
         self._residual = stack.right_hand_side(self._now, reference)

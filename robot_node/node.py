@@ -33,13 +33,15 @@ from robot_node.onboard import (
     StartComputer,
 )
 from robot_node.plan_anchor import PlanAnchor
+from robot_node.plan_cache import PlanCache
 from robot_node.plant import Plant, make_plant
 from robot_node.safety import JointHold, TorqueGuard, TorqueRateLimiter
 from robot_node.sensor_guard import SensorGuard
 from robot_node.sensors import Sensors
 from robot_node.sent_states import SentStates
+from robot_node.stepping import ContactClock, Measured
 from robot_node.tick_row import Moment, TickRow
-from shared.bus.base import Delivery, SenderCounter, new_session
+from shared.bus.base import Delivery, RefusalCounter, SenderCounter, new_session
 from shared.config.quantities import Push
 from shared.config.settings import RunConfig
 from shared.robots import Foot, Robot
@@ -51,7 +53,7 @@ from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference
 from shared.wbc.stack import Stack, make_stacks
 from shared.wire.codec import Codec
-from shared.wire.messages import RobotState
+from shared.wire.messages import RobotState, StepReport
 from shared.wire.operator import PushCommand, Reset, RobotCommand, SwitchController
 
 # Pushes of an operator that act at the same time.
@@ -107,6 +109,11 @@ class RobotNode:
         self._retired: list[OnBoard] = []
         self._on_board_qps = 0
         self._pushes = config.pushes
+        self.clock: ContactClock | None = None
+        self.plans: PlanCache | None = None
+        if config.stepping.mode != "off":
+            self.clock = ContactClock(robot, config)
+            self.plans = PlanCache(self._codec, robot, self.clock, session=self._session)
         self._torque_rate_limiter = TorqueRateLimiter(self._guard)
         self._last_rung = Source.HELD
         self._hold = JointHold(robot, timestep=config.loop.period_ns * 1e-9)
@@ -122,6 +129,13 @@ class RobotNode:
         self._q: np.ndarray
         self._v: np.ndarray
         self._reference: Reference
+
+    @property
+    def refused(self) -> RefusalCounter:
+        """Messages refused so far, by reason."""
+        if self.plans is None:
+            return self.cache.refused
+        return RefusalCounter(self.cache.refused + self.plans.refused)
 
     @property
     def walk_ended(self) -> bool:
@@ -169,10 +183,11 @@ class RobotNode:
         self._plan_ns = self.time_ns + self._plan.skipped_ns
         q = self._plan_frame.in_plan(self._q_in_world)
         self._q, self._v = q, v
-        if self._config.sensors.measure_forces:
+        forces: dict[Foot, np.ndarray] = {}
+        if self._config.sensors.measure_forces or self.clock is not None:
             forces = self._sensors.forces(self._plant.contact_forces())
             self._contact_force = np.concatenate([forces[foot] for foot in Foot])
-        self._reference = self._motion.reference(self._plan_ns)
+        self._reference = self._next_reference(forces)
         self.controller.observe(q, v, self._reference)
         self._measured_ns = now_ns
         self._sent.add(self.tick, stamp_ns=now_ns, q=q, v=v)
@@ -187,7 +202,38 @@ class RobotNode:
                 v=v,
                 held_sequences=self.cache.held_sequences,
                 com_command=self.controller.com_command,
+                steps=self._step_report(),
             )
+        )
+
+    def _next_reference(self, forces: dict[Foot, np.ndarray]) -> Reference:
+        """The reference of this tick: of the contact clock, or of a motion by time."""
+        if self.clock is None:
+            return self._motion.reference(self._plan_ns)
+        measured = Measured(
+            self._model.kinematics(self._q, self._v), self.controller.disturbance, forces
+        )
+        return self.clock.reference(measured, time_ns=self._plan_ns, decides=self.running)
+
+    def _step_report(self) -> StepReport | None:
+        clock, plans = self.clock, self.plans
+        if clock is None or plans is None:
+            return None
+        return StepReport(
+            phase=clock.phase,
+            phase_ns=clock.phase_ns,
+            plan=plans.plan,
+            law=plans.law,
+            feet=(clock.feet[Foot.LEFT], clock.feet[Foot.RIGHT]),
+            swing=self._reference.swing,
+        )
+
+    def receive_plan(self, delivery: Delivery) -> bool:
+        """Offer a message on the key of plans. Return whether it was taken."""
+        if self.plans is None:
+            return False
+        return self.plans.offer(
+            delivery.data, sent=self._sent, now_ns=self._measured_ns, time_ns=self._plan_ns
         )
 
     def receive(self, delivery: Delivery) -> bool:
@@ -225,7 +271,7 @@ class RobotNode:
         self._hold.observe(
             self._q,
             on_both_feet=self._reference.mode is ContactMode.DOUBLE_SUPPORT,
-            feet_as_standing=self._stays,
+            feet_as_standing=self._stays and (self.clock is None or self.clock.phase == 0),
         )
         self._plan.release()
         source = Source.FRESH if decision.sequence == self.tick else decision.source
@@ -279,7 +325,7 @@ class RobotNode:
             contact_force=self._contact_force,
             on_board_qps=self._on_board_qps
             + (0 if self.on_board is None else self.on_board.solves),
-            refused=self.cache.refused.total_refused,
+            refused=self.refused.total_refused,
         )
 
     def _solve_on_board(self) -> None:

@@ -41,15 +41,19 @@ class Tick:
         late_ns: int = 0,
         overruns: int = 0,
         sending_ns: int = 0,
+        plans: Iterable[Delivery] = (),
     ) -> tuple[Command, bool]:
         """Take in the arrived messages, command, record, move.
 
         Return the command, and whether an answer was taken. `late_ns` and `overruns` are those of
-        the driver's schedule. `sending_ns` is the time that sending the state took.
+        the driver's schedule. `sending_ns` is the time that sending the state took. `plans` are the
+        messages on the key of plans.
         """
         node = self._node
         began_ns = time.perf_counter_ns()
         taken = [node.receive(delivery) for delivery in arrived]
+        for delivery in plans:
+            node.receive_plan(delivery)
         command = node.command(now_ns)
         self._cost_ns += time.perf_counter_ns() - began_ns
         row = None

@@ -44,10 +44,14 @@ class Envelope(NamedTuple):
 
 
 class Delivery(NamedTuple):
-    """A message as it arrived."""
+    """A message as it arrived.
+
+    `on_plans`: on the key of plans, which shares its direction of a link with another key.
+    """
 
     data: bytes
     envelope: Envelope | None
+    on_plans: bool = False
 
 
 class Publisher(Protocol):

@@ -2,8 +2,8 @@
 
 A setting is described in one place, its field: see `setting`. Settings that depend on the robot
 have Romeo's values here; another robot's are in its robot file. A value out of range is a
-`ConfigError` that gives the range. Both ends of a link must agree on `task`, `robot`, `wbc` and
-`walk`; their digest travels in every message.
+`ConfigError` that gives the range. Both ends of a link must agree on `task`, `robot`, `wbc`, `walk`
+and `stepping`; their digest travels in every message.
 """
 
 from __future__ import annotations
@@ -339,6 +339,43 @@ class WalkConfig:
 
 
 @dataclass(frozen=True)
+class SteppingConfig:
+    """Steps that the robot decides on by itself.
+
+    The robot steps when the divergent component of motion, `ahead` from now, will be outside the
+    support, or `beyond_sideways` outside it to the left or right. There the hip strategy helps
+    longer. It decides anew every `period_ns`, until `freeze` before it lands. A foot bears when its
+    measured force exceeds `landing_force`. Then both feet bear for at least `double_support`.
+    """
+
+    mode: str = setting(
+        "off", help="steps that the robot decides on", choices=("off", "on"), flag="--stepping"
+    )
+    ahead: float = setting(
+        0.06, help="time for which the robot looks ahead before it steps", unit="s", at_least=0.0
+    )
+    beyond_sideways: float = setting(
+        0.05, help="distance beside the support at which it steps", unit="m", at_least=0.0
+    )
+    force_lasts: float = setting(
+        0.03, help="time for which it expects an external force to last", unit="s", at_least=0.0
+    )
+    period_ns: int = setting(5_000_000, help="period of decisions", at_least=1_000_000)
+    freeze: float = setting(
+        0.05, help="time before the landing from which its place stays", unit="s", at_least=0.01
+    )
+    landing_force: float = setting(
+        40.0, help="force on a foot at which it bears", unit="N", at_least=1.0
+    )
+    double_support: float = setting(
+        0.03, help="least time on both feet between steps", unit="s", at_least=0.0
+    )
+    swing_height: float = setting(
+        0.04, help="height of the foot in the air", unit="m", at_least=0.0
+    )
+
+
+@dataclass(frozen=True)
 class SwitchConfig:
     """Contact switches of a walk, Sec. III-C; each part can be turned off.
 
@@ -478,6 +515,7 @@ class RunConfig:
     robot: RobotConfig = field(default_factory=RobotConfig)
     wbc: WbcConfig = field(default_factory=WbcConfig)
     walk: WalkConfig = field(default_factory=WalkConfig)
+    stepping: SteppingConfig = field(default_factory=SteppingConfig)
     switch: SwitchConfig = field(default_factory=SwitchConfig)
     correction: CorrectionConfig = field(default_factory=CorrectionConfig)
     plant: PlantConfig = field(default_factory=PlantConfig)
@@ -508,8 +546,26 @@ class RunConfig:
                 "plant.kind: expected mujoco for a walk, because the feet of a rigid plant are "
                 "welded to the floor, got 'rigid'"
             )
+        if self.stepping.mode != "off":
+            self._check_stepping()
         # Parsed here, so that a malformed text is refused at once.
         _ = self.pushes, self.link.outages, self.link.start_ns
+
+    def _check_stepping(self) -> None:
+        if self.wbc.balance.law != "dcm":
+            raise ConfigError(
+                "stepping.mode: expected wbc.balance.law = 'dcm' for a robot that steps, got "
+                f"{self.wbc.balance.law!r}; try wbc.weights.com = 10 with it"
+            )
+        if self.plant.kind == "rigid":
+            raise ConfigError(
+                "plant.kind: expected mujoco for a robot that steps, because the feet of a rigid "
+                "plant are welded to the floor, got 'rigid'"
+            )
+        if self.task not in ("balance", "walk"):
+            raise ConfigError(
+                f"stepping.mode: expected the task balance or walk, got {self.task!r}"
+            )
 
     @cached_property
     def pushes(self) -> tuple[Push, ...]:
@@ -524,7 +580,8 @@ class RunConfig:
         robot = self.robot
         if robot.name not in ROBOTS.own:  # so may the file of a robot, which counts by its content
             robot = replace(robot, name=f"{robot.label} {ROBOTS.identity(robot.name)}")
-        agreed = repr((task, robot, self.wbc, self.walk))
+        steps = () if self.stepping.mode == "off" else (self.stepping,)
+        agreed = repr((task, robot, self.wbc, self.walk, *steps))
         return hashlib.sha256(agreed.encode()).digest()[:8]
 
 

@@ -6,7 +6,9 @@ first part of its swing and down in the last one, so that it passes above the ed
 
 from __future__ import annotations
 
+import functools
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,3 +60,125 @@ def swing(
         )
     )
     return SwingState(position, velocity, acceleration, start.yaw + s * turn, ds * turn, dds * turn)
+
+
+# The downward speed at which a foot that may land at any height meets the ground [m/s].
+_LANDING_SPEED = 0.15
+# Part of the swing after which the foot is highest.
+_HIGHEST_AT = 0.45
+# Where the acceleration of a quintic is largest, in parts of its time.
+PEAK_SAMPLES = (0.1, 0.21, 0.4, 0.6, 0.79)
+
+
+@functools.cache
+def peak_gains() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The acceleration at `PEAK_SAMPLES` of a quintic that ends at rest, per D/T², v/T and a.
+
+    D is the distance, T the time, v and a the velocity and acceleration at its start.
+    """
+    s = np.array(PEAK_SAMPLES)
+    return (
+        60.0 * s - 180.0 * s**2 + 120.0 * s**3,
+        -36.0 * s + 96.0 * s**2 - 60.0 * s**3,
+        1.0 - 9.0 * s + 18.0 * s**2 - 10.0 * s**3,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SwingPath:
+    """The way of a foot in the air to a goal that may still change, continuous in acceleration.
+
+    From `begin` the axes (x, y, z, heading) follow quintics with `coefficients` (6, 4). From
+    `highest` the height follows `descent` (6,) instead. After `end` the foot goes on down.
+    """
+
+    lift_off: float
+    begin: float
+    highest: float
+    end: float
+    coefficients: np.ndarray
+    descent: np.ndarray
+    goal: Footprint
+
+    @staticmethod
+    def between(
+        start: Footprint, goal: Footprint, *, begin: float, end: float, height: float
+    ) -> SwingPath:
+        """The path of a foot that lifts at `begin` and lands at `end` [s]."""
+        at_rest = np.zeros((3, 4))
+        at_rest[0] = start.x, start.y, 0.0, start.yaw
+        return _path(at_rest, goal, lift_off=begin, begin=begin, end=end, height=height)
+
+    def retargeted(self, goal: Footprint, *, time: float, end: float, height: float) -> SwingPath:
+        """The path that leaves this one at `time` and lands on `goal` at `end`."""
+        state = self._axes(time)
+        return _path(state, goal, lift_off=self.lift_off, begin=time, end=end, height=height)
+
+    def state(self, time: float) -> SwingState:
+        """The foot at `time` [s]."""
+        axes = self._axes(time)
+        position, velocity, acceleration = axes[:, :3]
+        yaw, yaw_rate, yaw_acceleration = axes[:, 3].tolist()
+        return SwingState(position, velocity, acceleration, yaw, yaw_rate, yaw_acceleration)
+
+    def _axes(self, time: float) -> np.ndarray:
+        """Position, velocity and acceleration (3,) of the axes, (3, 4)."""
+        axes: np.ndarray = _powers(min(time, self.end) - self.begin).dot(self.coefficients)
+        if time >= self.highest:
+            axes[:, 2] = _powers(min(time, self.end) - self.highest).dot(self.descent)
+        if time > self.end:
+            axes[0, 2] -= _LANDING_SPEED * (time - self.end)
+        return axes
+
+
+def _powers(t: float) -> np.ndarray:
+    """The powers of t and their first and second derivatives, (3, 6)."""
+    t_2 = t * t
+    t_3 = t_2 * t
+    t_4 = t_3 * t
+    return np.array(
+        (
+            (1.0, t, t_2, t_3, t_4, t_4 * t),
+            (0.0, 1.0, 2.0 * t, 3.0 * t_2, 4.0 * t_3, 5.0 * t_4),
+            (0.0, 0.0, 2.0, 6.0 * t, 12.0 * t_2, 20.0 * t_3),
+        )
+    )
+
+
+def _quintic_through(start: np.ndarray, end: np.ndarray, duration: float) -> np.ndarray:
+    """Coefficients (6, n) of the quintics from one state to another, (3, n) each."""
+    x_0, v_0, a_0 = start
+    x_1, v_1, a_1 = end
+    T = duration
+    D = x_1 - x_0
+    return np.array(
+        (
+            x_0,
+            v_0,
+            0.5 * a_0,
+            (20.0 * D - (8.0 * v_1 + 12.0 * v_0) * T - (3.0 * a_0 - a_1) * T**2) / (2.0 * T**3),
+            (-30.0 * D + (14.0 * v_1 + 16.0 * v_0) * T + (3.0 * a_0 - 2.0 * a_1) * T**2)
+            / (2.0 * T**4),
+            (12.0 * D - 6.0 * (v_1 + v_0) * T + (a_1 - a_0) * T**2) / (2.0 * T**5),
+        )
+    )
+
+
+def _path(
+    state: np.ndarray, goal: Footprint, *, lift_off: float, begin: float, end: float, height: float
+) -> SwingPath:
+    """The path from a state (3, 4) at `begin` to a footprint at `end`."""
+    yaw = state[0, 3] + math.remainder(goal.yaw - state[0, 3], math.tau)
+    landed = np.zeros((3, 4))
+    landed[0] = goal.x, goal.y, 0.0, yaw
+    coefficients = _quintic_through(state, landed, end - begin)
+    down = np.array([0.0, -_LANDING_SPEED, 0.0])
+    highest = lift_off + _HIGHEST_AT * (end - lift_off)
+    if highest - begin > 0.02:
+        top = np.array([height, 0.0, 0.0])
+        coefficients[:, 2] = _quintic_through(state[:, 2], top, highest - begin)
+        descent = _quintic_through(top, down, end - highest)
+    else:
+        highest = begin
+        descent = _quintic_through(state[:, 2], down, end - begin)
+    return SwingPath(lift_off, begin, highest, end, coefficients, descent, goal)

@@ -46,6 +46,7 @@ class BalanceLaw:
         self._period = period
         self._corners = {sole.side: sole.corners() for sole in robot.soles}
         self._disturbance: Point = (0.0, 0.0)
+        self._height = 1.0
         self._last_velocity: Point | None = None
         self._support: list[Point] = []
         self._support_of: tuple[ContactMode, list[list[float]]] | None = None
@@ -55,14 +56,16 @@ class BalanceLaw:
     ) -> np.ndarray:
         """The acceleration asked of the CoM in the plane, (2,) in the world [m/s²].
 
-        `wrenches` (6,) in the sole frames [N, N m] are those of the last command.
+        `wrenches` (6,) in the sole frames [N, N m] are those of the last command. A reference that
+        has a command of its own, as in a step, keeps it.
         """
         x, y, height = now.com.tolist()
         rate_x, rate_y, _ = now.com_velocity.tolist()
         soles = {foot: now.sole_placement(foot) for foot in reference.mode.feet}
         origins = [sole.translation.tolist() for sole in soles.values()]
         ground = min(origin[2] for origin in origins)
-        omega_2 = _GRAVITY / max(height - ground, _MIN_HEIGHT)
+        self._height = max(height - ground, _MIN_HEIGHT)
+        omega_2 = _GRAVITY / self._height
         omega, gain = math.sqrt(omega_2), self._config.gain
         x_ref, y_ref, _ = reference.com.tolist()
         rate_x_ref, rate_y_ref, _ = reference.com_velocity.tolist()
@@ -71,11 +74,22 @@ class BalanceLaw:
         cop_x = x_ref - a_x_ref / omega_2 + share * (x - x_ref + (rate_x - rate_x_ref) / omega)
         cop_y = y_ref - a_y_ref / omega_2 + share * (y - y_ref + (rate_y - rate_y_ref) / omega)
         force_x, force_y = self._observed((rate_x, rate_y), soles, wrenches)
+        if reference.com_command is not None:
+            return reference.com_command
         if math.hypot(force_x, force_y) > self._config.dead_band * omega_2:
             cop_x, cop_y = cop_x + force_x / omega_2, cop_y + force_y / omega_2
         self._find_support(reference.mode, soles, origins)
         cop_x, cop_y = within(self._support, (cop_x, cop_y), beyond=self._config.beyond)
         return np.array((omega_2 * (x - cop_x), omega_2 * (y - cop_y)))
+
+    @property
+    def disturbance(self) -> np.ndarray:
+        """The external force as the shift of the CoP that balances it, (2,) in the world [m].
+
+        It is zero within the dead band.
+        """
+        shift = np.array(self._disturbance) * (self._height / _GRAVITY)
+        return shift if math.hypot(*shift.tolist()) > self._config.dead_band else np.zeros(2)
 
     def _find_support(
         self, mode: ContactMode, soles: dict[Foot, pin.SE3], origins: list[list[float]]

@@ -18,7 +18,7 @@ from shared.wbc.limits import Limits
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.projector import WholeBodySolution, solve
 from shared.wbc.qp import make_solver
-from shared.wbc.reference import Motion
+from shared.wbc.reference import Motion, Reference
 from shared.wbc.stack import make_stacks
 
 FOR_EVER_NS = 2**62
@@ -49,14 +49,17 @@ class WholeBodyController:
         time_ns: int,
         mode: ContactMode,
         com_command: np.ndarray | None = None,
+        reference: Reference | None = None,
     ) -> tuple[WholeBodySolution, np.ndarray]:
         """Solution at (q, v) for a contact mode and the reference of `time_ns`; and its b.
 
-        `com_command` is that of the robot's balance law, see `Reference`.
+        `com_command` is that of the robot's balance law, see `Reference`. A `reference` of the
+        robot's own replaces the motion's.
         """
         stack = self.stacks[mode]
         kinematics = self.model.kinematics(q, v)
-        reference = self._motion.reference(time_ns)
+        if reference is None:
+            reference = self._motion.reference(time_ns)
         if com_command is not None:
             reference = dataclasses.replace(reference, com_command=com_command)
         b = stack.right_hand_side(kinematics, reference)

@@ -22,18 +22,19 @@ import numpy as np
 
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError, MessageRefused
-from shared.robots import Robot
+from shared.motion.footprint import Footprint
+from shared.robots import Foot, Robot
 from shared.wbc.answer import Factorisation, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
 from shared.wbc.finite import all_finite
 from shared.wbc.limits import Limits
-from shared.wbc.reference import Motion
+from shared.wbc.reference import Motion, SwingState
 from shared.wbc.stack import RowLayout, make_stacks
 from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.form import INTEGER, SMALL, Form, binary
-from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
+from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState, StepReport
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 _STATE, _PROJECTOR, _FACTORISATION = "state", "projector", "factorisation"
 _MAX_INT = 2**63 - 1
 # With more columns than this a message of double precision would exceed its channel.
@@ -76,6 +77,8 @@ class Codec:
         self._n_inequalities = {mode: len(stack.contacts.l) for mode, stack in self._stacks.items()}
         # Only a robot with a balance law sends its command of the CoM.
         self._commands_com = config.wbc.balance.law != "com"
+        # Only a robot that decides on its steps reports them.
+        self._reports_steps = config.stepping.mode != "off"
         self._state_form = self._make_state_form(None)
         self._holding_form = self._make_state_form([INTEGER] * len(ContactMode))
         self._answer_forms = {
@@ -115,6 +118,7 @@ class Codec:
             state.q.tobytes(),
             state.v.tobytes(),
             *self._com_command_bytes(state),
+            *(() if state.steps is None else _step_values(state.steps)),
             *(held_sequences or ()),
         )
 
@@ -128,24 +132,25 @@ class Codec:
         state = self._read_state(data)
         if state is not None:
             return state
-        fields = self._unpack(data, _STATE, UPLINK.max_bytes)
+        fields = self.unpack(data, (_STATE,), UPLINK.max_bytes)
         return RobotState(
-            session=_integer(fields, "session"),
-            sequence=_integer(fields, "sequence"),
-            stamp_ns=_integer(fields, "stamp_ns"),
-            time_ns=_integer(fields, "time_ns"),
+            session=integer_of(fields, "session"),
+            sequence=integer_of(fields, "sequence"),
+            stamp_ns=integer_of(fields, "stamp_ns"),
+            time_ns=integer_of(fields, "time_ns"),
             mode=_mode(fields),
-            q=_array(fields, "q", (self._nq,)),
-            v=_array(fields, "v", (self._nv,)),
+            q=array_of(fields, "q", (self._nq,)),
+            v=array_of(fields, "v", (self._nv,)),
             held_sequences=_holds(fields),
-            com_command=_array(fields, "com_command", (2,)) if self._commands_com else None,
+            com_command=array_of(fields, "com_command", (2,)) if self._commands_com else None,
+            steps=_steps(fields.get("steps"), _mode(fields)) if self._reports_steps else None,
         )
 
     def encode_projector(self, message: ProjectorMessage) -> bytes:
         """Encode a `ProjectorMessage`. Raise `ConfigError` if it exceeds `DOWNLINK.max_bytes`."""
         if len(message.projectors) == 1 and not len(message.projectors[0].projector.limits):
             return self._write_answer(message, message.projectors[0])
-        return self._pack(
+        return self.pack(
             _PROJECTOR,
             DOWNLINK.max_bytes,
             session=message.session,
@@ -162,7 +167,7 @@ class Codec:
         message = self._read_answer(data, judge)
         if message is not None:
             return message
-        fields = self._unpack(data, _PROJECTOR, DOWNLINK.max_bytes)
+        fields = self.unpack(data, (_PROJECTOR,), DOWNLINK.max_bytes)
         mode = _mode(fields)
         entries = fields.get("projectors")
         if not isinstance(entries, list) or not 0 < len(entries) <= len(ContactMode):
@@ -171,12 +176,12 @@ class Codec:
         if not any(timed.projector.mode is mode for timed in projectors):
             raise MessageRefused("mode", f"no projector of {mode.name}, which the answer is for")
         message = ProjectorMessage(
-            session=_integer(fields, "session"),
-            sequence=_integer(fields, "sequence"),
-            stamp_ns=_integer(fields, "stamp_ns"),
+            session=integer_of(fields, "session"),
+            sequence=integer_of(fields, "sequence"),
+            stamp_ns=integer_of(fields, "stamp_ns"),
             mode=mode,
-            tau=_array(fields, "tau", (self._nv - 6,)),
-            y=_array(fields, "y", (self._layouts[mode].n_unknowns,)),
+            tau=array_of(fields, "tau", (self._nv - 6,)),
+            y=array_of(fields, "y", (self._layouts[mode].n_unknowns,)),
             projectors=projectors,
         )
         judge(message.session, message.sequence)
@@ -184,7 +189,7 @@ class Codec:
 
     def encode_factorisations(self, message: FactorisationMessage) -> bytes:
         """Encode a `FactorisationMessage`, with numbers in single precision."""
-        return self._pack(
+        return self.pack(
             _FACTORISATION,
             DOWNLINK.max_bytes,
             session=message.session,
@@ -195,14 +200,14 @@ class Codec:
 
     def decode_factorisations(self, data: bytes, judge: Judge = _anything) -> FactorisationMessage:
         """Decode and check a `FactorisationMessage`. Raise `MessageRefused` if a check fails."""
-        fields = self._unpack(data, _FACTORISATION, DOWNLINK.max_bytes)
+        fields = self.unpack(data, (_FACTORISATION,), DOWNLINK.max_bytes)
         entries = fields.get("factorisations")
         if not isinstance(entries, list) or len(entries) > len(ContactMode):
             raise MessageRefused("shape", "factorisations")
         message = FactorisationMessage(
-            session=_integer(fields, "session"),
-            sequence=_integer(fields, "sequence"),
-            stamp_ns=_integer(fields, "stamp_ns"),
+            session=integer_of(fields, "session"),
+            sequence=integer_of(fields, "sequence"),
+            stamp_ns=integer_of(fields, "stamp_ns"),
             factorisations=tuple(self._decode_factorisation_fields(entry) for entry in entries),
         )
         judge(message.session, message.sequence)
@@ -221,6 +226,7 @@ class Codec:
                 "q": binary(_DOUBLE.itemsize * self._nq),
                 "v": binary(_DOUBLE.itemsize * self._nv),
                 **({"com_command": binary(_DOUBLE.itemsize * 2)} if self._commands_com else {}),
+                **({"steps": dict(_STEP_SLOTS)} if self._reports_steps else {}),
                 "holds": holds,
             }
         )
@@ -244,6 +250,14 @@ class Codec:
             com_command = _finite(command_bytes)
             if com_command is None:
                 return None
+        steps = None
+        if self._reports_steps:
+            of_steps, holds = holds[: len(_STEP_SLOTS)], holds[len(_STEP_SLOTS) :]
+            if mode not in self._layouts:
+                return None
+            steps = _steps_of(ContactMode(mode), *of_steps)
+            if steps is None:
+                return None
         if mode not in self._layouts or q is None or v is None:
             return None
         if min(session, sequence, stamp_ns, time_ns) < -_MAX_INT or min(holds, default=0) < -1:
@@ -259,6 +273,7 @@ class Codec:
             v,
             held_sequences,
             com_command,
+            steps,
         )
 
     def _make_answer_form(self, layout: RowLayout, dtype_name: str, n_active: int) -> Form:
@@ -372,7 +387,7 @@ class Codec:
         varying = stack.varying_task_rows
 
         def array(name: str, *shape: int) -> np.ndarray:
-            return _array(fields, name, shape, dtype=_SINGLE)
+            return array_of(fields, name, shape, dtype=_SINGLE)
 
         A = stack.constant_task_rows.copy()
         A[varying] = array("A", len(varying), self._nv)
@@ -422,22 +437,24 @@ class Codec:
         return TimedProjector(
             projector=Projector(
                 mode=mode,
-                A_dagger=_array(
+                A_dagger=array_of(
                     fields, "A_dagger", (n, n_rows + len(limits)), dtype=_DTYPES[dtype]
                 ),
                 active=np.array(rows, dtype=int),
                 limits=np.array(list(limits), dtype=int),
             ),
-            valid_from_ns=_integer(fields, "valid_from_ns"),
-            valid_until_ns=_integer(fields, "valid_until_ns"),
+            valid_from_ns=integer_of(fields, "valid_from_ns"),
+            valid_until_ns=integer_of(fields, "valid_until_ns"),
         )
 
-    def _pack(self, kind: str, max_bytes: int, **fields: Any) -> bytes:
+    def pack(self, kind: str, max_bytes: int, **fields: Any) -> bytes:
+        """Return a message of a kind; raise `ConfigError` if it is longer than its channel's."""
         data = bytes(msgpack.packb({**self._header, "kind": kind, **fields}))
         _check_size(kind, len(data), max_bytes)
         return data
 
-    def _unpack(self, data: bytes, kind: str, max_bytes: int) -> dict[str, Any]:
+    def unpack(self, data: bytes, kinds: tuple[str, ...], max_bytes: int) -> dict[str, Any]:
+        """Return the fields of a message of one of these kinds; raise `MessageRefused`."""
         if len(data) > max_bytes:
             raise MessageRefused("oversized", f"{len(data)} bytes")
         try:
@@ -448,7 +465,7 @@ class Codec:
             raise MessageRefused("undecodable", "not a map")
         if fields.get("version") != SCHEMA_VERSION:
             raise MessageRefused("version", repr(fields.get("version")))
-        if fields.get("kind") != kind:
+        if fields.get("kind") not in kinds:
             raise MessageRefused("kind", repr(fields.get("kind")))
         if fields.get("config") != self._header["config"]:
             raise MessageRefused("config", "the two ends run different configurations")
@@ -465,6 +482,63 @@ def _check_size(kind: str, size: int, max_bytes: int) -> None:
         )
 
 
+# The two soles (x, y, heading), then position, velocity, acceleration and heading with its first
+# and second derivative of the foot in the air.
+_POSES = 6 + 12
+_STEP_SLOTS = {
+    "phase": INTEGER,
+    "phase_ns": INTEGER,
+    "plan": INTEGER,
+    "law": INTEGER,
+    "poses": binary(_SINGLE.itemsize * _POSES),
+}
+
+
+def _step_values(steps: StepReport) -> tuple[int | bytes, ...]:
+    """The values of a report in its slots."""
+    poses = np.zeros(_POSES)
+    for k, print_ in enumerate(steps.feet):
+        poses[3 * k : 3 * k + 3] = print_.x, print_.y, print_.yaw
+    if (swing := steps.swing) is not None:
+        poses[6:15] = np.concatenate((swing.position, swing.velocity, swing.acceleration))
+        poses[15:] = swing.yaw, swing.yaw_rate, swing.yaw_acceleration
+    return (
+        steps.phase,
+        steps.phase_ns,
+        steps.plan,
+        steps.law,
+        poses.astype(_SINGLE).tobytes(),
+    )
+
+
+def _steps_of(
+    mode: ContactMode, phase: int, phase_ns: int, plan: int, law: int, poses: bytes
+) -> StepReport | None:
+    """The report in its values; None if one is not valid."""
+    numbers = _finite(poses, _SINGLE)
+    if numbers is None or min(phase, phase_ns, law, plan + 1) < 0:
+        return None
+    left, right = numbers[:3].tolist(), numbers[3:6].tolist()
+    swing = None
+    if mode is not ContactMode.DOUBLE_SUPPORT:
+        swing = SwingState(numbers[6:9], numbers[9:12], numbers[12:15], *numbers[15:].tolist())
+    feet = (Footprint(Foot.LEFT, *left), Footprint(Foot.RIGHT, *right))
+    return StepReport(phase, phase_ns, plan, law, feet, swing)
+
+
+def _steps(fields: Any, mode: ContactMode) -> StepReport:
+    """The report in a message without a form. Raise `MessageRefused` if it is not valid."""
+    if not isinstance(fields, dict):
+        raise MessageRefused("shape", "steps")
+    array_of(fields, "poses", (_POSES,), dtype=_SINGLE)
+    phase, phase_ns = integer_of(fields, "phase"), integer_of(fields, "phase_ns")
+    plan, law = integer_of(fields, "plan"), integer_of(fields, "law")
+    steps = _steps_of(mode, phase, phase_ns, plan, law, fields["poses"])
+    if steps is None:
+        raise MessageRefused("shape", "steps")
+    return steps
+
+
 def _finite(data: bytes, dtype: np.dtype[Any] = _DOUBLE) -> np.ndarray | None:
     """Return the numbers as float64, or None if one of them is not finite."""
     numbers = np.frombuffer(data, dtype)
@@ -473,7 +547,8 @@ def _finite(data: bytes, dtype: np.dtype[Any] = _DOUBLE) -> np.ndarray | None:
     return numbers if all_finite(numbers) else None
 
 
-def _integer(fields: dict[str, Any], name: str) -> int:
+def integer_of(fields: dict[str, Any], name: str) -> int:
+    """Return an integer field; raise `MessageRefused` if it is none."""
     value = fields.get(name)
     if type(value) is not int or not -_MAX_INT <= value <= _MAX_INT:
         raise MessageRefused("shape", name)
@@ -504,18 +579,19 @@ def _holds(fields: dict[str, Any]) -> tuple[int, ...] | None:
 
 def _mode(fields: dict[str, Any]) -> ContactMode:
     try:
-        return ContactMode(_integer(fields, "mode"))
+        return ContactMode(integer_of(fields, "mode"))
     except ValueError:
         raise MessageRefused("mode", repr(fields.get("mode"))) from None
 
 
-def _array(
+def array_of(
     fields: dict[str, Any],
     name: str,
     shape: tuple[int, ...],
     *,
     dtype: np.dtype[Any] = _DOUBLE,
 ) -> np.ndarray:
+    """Return an array of a shape, in double precision; raise `MessageRefused` if it is none."""
     data = fields.get(name)
     if not isinstance(data, bytes) or len(data) != dtype.itemsize * math.prod(shape):
         raise MessageRefused("shape", name)

@@ -10,8 +10,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shared.motion.footprint import Footprint
+from shared.motion.planned import Plan
+from shared.motion.step_law import StepLaw
 from shared.wbc.answer import Factorisation, TimedProjector
 from shared.wbc.contacts import ContactMode
+from shared.wbc.reference import SwingState
+
+
+@dataclass(slots=True)
+class StepReport:
+    """What a robot that decides on its steps says of them.
+
+    `phase` counts the phases of its contact clock, `phase_ns` is the time in the present one.
+    `plan` is the number of the plan that it follows, −1 without one, `law` the identity of its step
+    law, 0 without one. `feet` are its soles: of a foot in the air, where it lifted. `swing` is the
+    reference of that foot. Poses are in the plan's frame, in single precision.
+    """
+
+    phase: int
+    phase_ns: int
+    plan: int
+    law: int
+    feet: tuple[Footprint, Footprint]
+    swing: SwingState | None
 
 
 @dataclass(slots=True)
@@ -23,7 +45,8 @@ class RobotState:
     time of the task, from which both ends derive the reference. `q` (nq,), `v` (nv,).
     `held_sequences`: per contact mode, the state whose factorisation the robot has, −1 for none;
     None for a robot that wants projectors. `com_command` (2,): the acceleration that the robot's
-    balance law asks of the CoM in the plane, None without a law [m/s²].
+    balance law asks of the CoM in the plane, None without a law [m/s²]. `steps` is None for a robot
+    whose motion is a function of time.
     """
 
     session: int
@@ -35,6 +58,7 @@ class RobotState:
     v: np.ndarray
     held_sequences: tuple[int, ...] | None = None
     com_command: np.ndarray | None = None
+    steps: StepReport | None = None
 
 
 @dataclass(slots=True)
@@ -66,3 +90,13 @@ class FactorisationMessage:
     sequence: int
     stamp_ns: int
     factorisations: tuple[Factorisation, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanMessage:
+    """Downlink on its own key: a plan or a step law, as answer to the state that it echoes."""
+
+    session: int
+    sequence: int
+    stamp_ns: int
+    content: Plan | StepLaw

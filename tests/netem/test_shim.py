@@ -70,7 +70,7 @@ class Bench:
             profile,
             LinkConfig(keep_order=keep_order),
             seed=seed,
-            sides=Sides(*self.outlets),
+            sides=Sides(*self.outlets, plans=self.outlets[DOWNLINK]),
             row=self._row,
             clock=clock,
             say=self.message.append,

@@ -1,0 +1,231 @@
+"""The edge's planners: where the robot goes, as footsteps to a stand.
+
+A planner is asked at a state, in the robot's own phase. It answers with a complete plan from that
+phase on, or None if the robot shall stand. The robot's step law moves the footsteps when it must.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from shared.config.settings import RunConfig, WalkConfig
+from shared.errors import ConfigError
+from shared.motion.footprint import Footprint
+from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin, other
+from shared.motion.stance import Stance, middle
+from shared.robots import Foot, Robot
+from shared.wbc.contacts import ContactMode
+from shared.wire.messages import RobotState, StepReport
+
+# A plan is of use for so long after its state [ns].
+_VALID_NS = 1_000_000_000
+# Steps of one plan at most, before it comes to a stand.
+_MAX_STEPS = 8
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """Velocity of the path: forward and to the left [m/s], and turning to the left [rad/s]."""
+
+    forward: float = 0.0
+    left: float = 0.0
+    turning: float = 0.0
+
+
+class Planner(Protocol):
+    """Where a robot goes."""
+
+    def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
+        """Return the plan from the phase of a state on, or None for a stand.
+
+        `com` (2, 2) is the CoM in the plane and its velocity at that state.
+        """
+        ...
+
+
+class FootstepBuilder:
+    """Puts footprints into a plan, with the CoP and DCM of each phase."""
+
+    def __init__(self, robot: Robot, config: WalkConfig, *, double_support: float) -> None:
+        self.stance = Stance.of(robot)
+        self._config = config
+        self._double_support = double_support
+
+    def plan(
+        self,
+        report: StepReport,
+        mode: ContactMode,
+        footprints: list[Footprint],
+        *,
+        com: np.ndarray,
+        origin: PlanOrigin,
+        stamp_ns: int,
+        number: int,
+    ) -> Plan:
+        """Return the plan that puts the feet down on `footprints`, one after the other.
+
+        If a foot is in the air, the first one is where it lands.
+        """
+        omega, config = self.stance.omega, self._config
+        single = config.step_duration - self._double_support
+        feet = {each.foot: each for each in report.feet}
+        elapsed = report.phase_ns * 1e-9
+        # (mode, duration, footprint, CoP)
+        spans: list[tuple[ContactMode, float, Footprint | None, np.ndarray | None]] = []
+        if mode is ContactMode.DOUBLE_SUPPORT:
+            first = config.begin_duration if report.phase == 0 else self._double_support
+            spans.append((mode, max(first, elapsed + 0.02), None, None))
+        for goal in footprints:
+            support = feet[other(goal.foot)]
+            duration = single
+            if not spans:
+                duration = max(single, elapsed + 0.1)
+            cop = support.to_world(self.stance.cop_in_sole)
+            spans.append((SUPPORT_MODE[goal.foot], duration, goal, cop))
+            feet[goal.foot] = goal
+            following = feet[goal.foot].to_world(self.stance.cop_in_sole)
+            spans.append(
+                (ContactMode.DOUBLE_SUPPORT, self._double_support, None, (cop + following) / 2)
+            )
+        rest = self.stance.rest_over(feet)
+        spans[-1] = (ContactMode.DOUBLE_SUPPORT, config.end_duration, None, rest)
+        # Backwards from rest: the DCM at the end of each phase.
+        ends = [rest]
+        for _, duration, _, cop in reversed(spans[1:]):
+            assert cop is not None
+            ends.append(cop + (ends[-1] - cop) * math.exp(-omega * duration))
+        ends.reverse()
+        if spans[0][3] is None:
+            # The one CoP that brings the DCM from where it is to where the first step wants it.
+            mode, duration, goal_, _ = spans[0]
+            left = max(0.02, duration - elapsed)
+            growth = math.exp(omega * left)
+            dcm = com[0] + com[1] / omega
+            spans[0] = (mode, duration, goal_, (ends[0] - dcm * growth) / (1.0 - growth))
+        phases, begin_ns = [], 0
+        for (mode, duration, goal_, at), dcm in zip(spans, ends, strict=True):
+            assert at is not None
+            end_ns = begin_ns + round(duration * 1e9)
+            points = (float(at[0]), float(at[1])), (float(dcm[0]), float(dcm[1]))
+            phases.append(PlannedPhase(mode, begin_ns, end_ns, goal_, *points))
+            begin_ns = end_ns
+        return Plan(
+            number=number,
+            origin=origin,
+            valid_until_ns=stamp_ns + _VALID_NS,
+            feet=report.feet,
+            com=(float(com[0, 0]), float(com[0, 1])),
+            phases=tuple(phases),
+            swing_height=config.swing_height,
+        )
+
+
+class StandingPlanner:
+    """The robot stands, and steps only if its step law says so."""
+
+    def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
+        return None
+
+
+class WalkPlanner:
+    """The steps of the task `walk`: equal ones, of which the last brings the feet together.
+
+    The path goes on from where the feet are. A step that a push has moved is not made up for.
+    """
+
+    def __init__(self, robot: Robot, config: RunConfig) -> None:
+        self._build = FootstepBuilder(
+            robot, config.walk, double_support=config.stepping.double_support
+        )
+        self._walk = config.walk
+
+    def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
+        report, walk = state.steps, self._walk
+        if report is None:
+            return None
+        # A step is a phase on one foot and one on both.
+        left = walk.steps - (report.phase + 1) // 2 + (state.mode is not ContactMode.DOUBLE_SUPPORT)
+        if left <= 0:
+            return None
+        advance = (walk.step_length, walk.step_sideways, walk.step_turn)
+        width = walk.step_width or self._build.stance.width
+        footprints = footsteps(
+            report,
+            state.mode,
+            advance,
+            steps=min(left, _MAX_STEPS),
+            width=width,
+            lead=_lead(walk.step_sideways, walk.step_turn),
+        )
+        return self._build.plan(
+            report,
+            state.mode,
+            footprints,
+            com=com,
+            origin=PlanOrigin(state.session, state.sequence, report.phase),
+            stamp_ns=state.stamp_ns,
+            number=number,
+        )
+
+
+def _lead(sideways: float, turn: float) -> Foot:
+    return Foot.RIGHT if (sideways or turn) < 0 else Foot.LEFT
+
+
+def footsteps(
+    report: StepReport,
+    mode: ContactMode,
+    advance: tuple[float, float, float],
+    *,
+    steps: int,
+    width: float,
+    lead: Foot,
+) -> list[Footprint]:
+    """Footprints of steps that advance by (length, sideways, turn) each, from a robot's feet on.
+
+    The last one brings the feet together. `lead` is the first foot of a robot that has not moved.
+    """
+    feet = {each.foot: each for each in report.feet}
+    if mode is not ContactMode.DOUBLE_SUPPORT:
+        swing = next(each for each, during in SUPPORT_MODE.items() if during is mode)
+    elif report.phase == 0:
+        swing = lead
+    else:
+        # The foot that is behind on the path.
+        x, y, yaw = middle(feet)
+        behind = {
+            foot: math.cos(yaw) * (each.x - x) + math.sin(yaw) * (each.y - y)
+            for foot, each in feet.items()
+        }
+        swing = min(behind, key=lambda foot: behind[foot])
+    made = []
+    for k in range(steps):
+        support = feet[other(swing)]
+        side = 0.5 * width if swing is Foot.LEFT else -0.5 * width
+        # The path goes through the middle: half a width beside the bearing foot.
+        yaw = support.yaw
+        x = support.x - math.sin(yaw) * side
+        y = support.y + math.cos(yaw) * side
+        if k < steps - 1:
+            c, s = math.cos(yaw), math.sin(yaw)
+            x += c * advance[0] - s * advance[1]
+            y += s * advance[0] + c * advance[1]
+            yaw += advance[2]
+        goal = Footprint(swing, x - math.sin(yaw) * side, y + math.cos(yaw) * side, yaw)
+        made.append(goal)
+        feet[swing] = goal
+        swing = other(swing)
+    return made
+
+
+def make_planner(robot: Robot, config: RunConfig) -> Planner:
+    """Return the planner of a task. Raise `ConfigError` if the task has none."""
+    if config.task == "balance":
+        return StandingPlanner()
+    if config.task == "walk":
+        return WalkPlanner(robot, config)
+    raise ConfigError(f"stepping: expected the task balance or walk, got {config.task!r}")

@@ -1,0 +1,83 @@
+"""The edge's part in steps: the step law and plans, sent until the robot says that it has them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from edge_node.planner import Planner, make_planner
+from shared.config.settings import RunConfig
+from shared.motion.planned import Plan
+from shared.motion.stance import Stance, middle
+from shared.motion.standing import Standing
+from shared.motion.step_law import StepLaw, make_step_law
+from shared.robots import Robot
+from shared.wbc.model import WholeBodyModel
+from shared.wbc.reference import Reference, turned
+from shared.wire.messages import RobotState
+from shared.wire.plans import as_sent, law_identity
+
+# Between two plans at least, as the key of plans has 50 Hz.
+_INTERVAL_NS = 20_000_000
+
+
+class StepPlanning:
+    """What is the same for all robots of an edge: law, planner, standing posture."""
+
+    def __init__(self, robot: Robot, config: RunConfig) -> None:
+        self.law: StepLaw = as_sent(make_step_law(robot, Stance.of(robot)))
+        self.law_identity = law_identity(self.law)
+        self.planner: Planner = make_planner(robot, config)
+        self._standing = Standing(robot).reference(0)
+
+    def reference(self, state: RobotState) -> Reference | None:
+        """Return the reference that a robot has by its own report; None without one."""
+        steps = state.steps
+        if steps is None:
+            return None
+        _, _, yaw = middle({each.foot: each for each in steps.feet})
+        return dataclasses.replace(
+            self._standing,
+            world_from_base=turned(yaw) @ self._standing.world_from_base,
+            mode=state.mode,
+            swing=steps.swing,
+        )
+
+
+class StepDelivery:
+    """What one start of a robot has been sent. Each state says what it has."""
+
+    def __init__(self, retry_ns: int) -> None:
+        self._retry_ns = retry_ns
+        self._sent_ns = self._law_sent_ns = -(2**62)
+        self._planned_phase = -1
+        self._number = -1
+
+    def due(
+        self, state: RobotState, planning: StepPlanning, model: WholeBodyModel
+    ) -> Plan | StepLaw | None:
+        """Return what to send as answer to a state; None if the robot has all."""
+        steps, now_ns = state.steps, state.stamp_ns
+        if steps is None or now_ns - self._sent_ns < _INTERVAL_NS:
+            return None
+        if steps.law != planning.law_identity and now_ns - self._law_sent_ns >= self._retry_ns:
+            self._sent_ns = self._law_sent_ns = now_ns
+            return planning.law
+        lacking = steps.plan < self._number and now_ns - self._sent_ns >= self._retry_ns
+        if steps.phase == self._planned_phase and not lacking:
+            return None
+        number = max(steps.plan, self._number) + 1
+        plan = planning.planner.plan(state, com=_com(state, model), number=number)
+        self._planned_phase = steps.phase
+        if plan is None:
+            self._number = steps.plan
+            return None
+        self._sent_ns, self._number = now_ns, number
+        return plan
+
+
+def _com(state: RobotState, model: WholeBodyModel) -> np.ndarray:
+    """The CoM in the plane and its velocity, (2, 2)."""
+    now = model.kinematics(state.q, state.v)
+    return np.array((now.com[:2], now.com_velocity[:2]))

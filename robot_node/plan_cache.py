@@ -1,0 +1,146 @@
+"""The newest plan and step law of the edge, and why the others were refused.
+
+Both are taken only if they fit this robot and its present phase: footprints within the reach of its
+legs from feet where its own are, grids within its own soles and reach. A plan is taken for the
+phase that the robot is in, if it is newer than the last one and if no foot in the air is about to
+land. So a plan that is late, false or from another edge changes nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+from robot_node.sent_states import SentStates
+from robot_node.stepping import ContactClock
+from shared.bus.base import RefusalCounter
+from shared.errors import MessageRefused
+from shared.motion.footprint import Footprint
+from shared.motion.footsteps import MAX_TURN
+from shared.motion.planned import Plan, other
+from shared.motion.stance import Stance
+from shared.motion.step_law import StepLaw, make_step_law
+from shared.robots import Foot, Robot
+from shared.wbc.contacts import ContactMode
+from shared.wire.codec import Codec
+from shared.wire.messages import PlanMessage
+from shared.wire.plans import PlanCodec, law_identity
+
+# A plan's feet may be as far from the robot's [m, rad]; wire's rounding in its grids [m].
+_FEET_APART, _FEET_TURNED = 0.05, 0.2
+_ROUNDING = 1e-5
+# CoPs and DCMs of a plan are at most as far from a foot [m]. Values of a law are at most as large.
+_FARTHEST = 1.0
+_MAX_VALUE = 1e4
+_LANDING_TIMES = (0.1, 2.0)
+
+
+class PlanCache:
+    """Takes in what comes on the key of plans, and gives it to the contact clock."""
+
+    def __init__(self, codec: Codec, robot: Robot, clock: ContactClock, *, session: int) -> None:
+        self.refused = RefusalCounter()
+        self.law = 0
+        self.plan = -1
+        self._codec = PlanCodec(codec)
+        self._clock = clock
+        self._session = session
+        self._own = make_step_law(robot, Stance.of(robot))
+
+    def offer(self, data: bytes, *, sent: SentStates, now_ns: int, time_ns: int) -> bool:
+        """Take a received message if it is valid. Return whether it was taken.
+
+        `now_ns` is the robot's clock, `time_ns` the time of its task.
+        """
+        try:
+            message = self._codec.decode(data)
+            self._check_echo(message, sent)
+            if isinstance(message.content, StepLaw):
+                self._take_law(message.content)
+            else:
+                self._take_plan(message.content, now_ns=now_ns, time_ns=time_ns)
+        except MessageRefused as refusal:
+            self.refused[refusal.reason] += 1
+            return False
+        return True
+
+    def _check_echo(self, message: PlanMessage, sent: SentStates) -> None:
+        if message.session != self._session:
+            raise MessageRefused("session", "answers another start of the robot")
+        if message.sequence > sent.newest:
+            raise MessageRefused("future", f"{message.sequence}")
+        stamp_ns = sent.stamp_ns(message.sequence)
+        if stamp_ns is None:
+            raise MessageRefused("stale", f"{message.sequence}, which is forgotten")
+        if message.stamp_ns != stamp_ns:
+            raise MessageRefused("stamp", f"{message.stamp_ns}, sent {stamp_ns}")
+
+    def _take_law(self, law: StepLaw) -> None:
+        own = self._own
+        if abs(law.omega - own.omega) > 1e-3 or abs(law.width - own.width) > 1e-3:
+            raise MessageRefused("reach", "a law for another robot")
+        for name in ("footholds_x", "footholds_y", "cops_x", "cops_y"):
+            theirs, ours = getattr(law, name), getattr(own, name)
+            if theirs[0] < ours[0] - _ROUNDING or theirs[-1] > ours[-1] + _ROUNDING:
+                raise MessageRefused("reach", name)
+        if law.times[0] < _LANDING_TIMES[0] or law.times[-1] > _LANDING_TIMES[1]:
+            raise MessageRefused("reach", "times")
+        for name in ("values_x", "values_y", "going_on_x", "going_on_y"):
+            values = getattr(law, name)
+            if values.min() < -_ROUNDING or values.max() > _MAX_VALUE:
+                raise MessageRefused("reach", name)
+        self._clock.law, self.law = law, law_identity(law)
+
+    def _take_plan(self, plan: Plan, *, now_ns: int, time_ns: int) -> None:
+        clock = self._clock
+        if plan.origin.phase != clock.phase:
+            raise MessageRefused("phase", f"{plan.origin.phase}, the robot is in {clock.phase}")
+        if plan.number <= self.plan:
+            raise MessageRefused("stale", f"plan {plan.number} after {self.plan}")
+        if now_ns > plan.valid_until_ns:
+            raise MessageRefused("expired", f"plan {plan.number}")
+        if clock.frozen(time_ns):
+            raise MessageRefused("frozen", f"plan {plan.number}, as the foot is about to land")
+        self._check_modes(plan)
+        self._check_places(plan)
+        clock.take(plan)
+        self.plan = plan.number
+
+    def _check_modes(self, plan: Plan) -> None:
+        modes = [phase.mode for phase in plan.phases]
+        if modes[0] is not self._clock.mode:
+            raise MessageRefused("phase", f"{modes[0].name}, the robot is in another mode")
+        if modes[-1] is not ContactMode.DOUBLE_SUPPORT:
+            raise MessageRefused("shape", "a plan that does not end in a stand")
+        both = [mode is ContactMode.DOUBLE_SUPPORT for mode in modes]
+        if any(first == second for first, second in itertools.pairwise(both)):
+            raise MessageRefused("shape", "phases that do not alternate")
+
+    def _check_places(self, plan: Plan) -> None:
+        feet = {each.foot: each for each in plan.feet}
+        for foot, own in self._clock.feet.items():
+            apart = math.dist((own.x, own.y), (feet[foot].x, feet[foot].y))
+            turned = abs(math.remainder(own.yaw - feet[foot].yaw, math.tau))
+            if apart > _FEET_APART or turned > _FEET_TURNED:
+                raise MessageRefused("feet", f"the {foot.value} foot {apart:.3f} m from its place")
+        for phase in plan.phases:
+            if phase.footprint is not None:
+                self._check_reach(phase.footprint, feet[other(phase.footprint.foot)])
+                feet[phase.footprint.foot] = phase.footprint
+            for point in (phase.cop, phase.dcm):
+                if min(math.dist(point, (each.x, each.y)) for each in feet.values()) > _FARTHEST:
+                    raise MessageRefused("reach", "a CoP or a DCM far from the feet")
+
+    def _check_reach(self, goal: Footprint, support: Footprint) -> None:
+        own = self._own
+        c, s = math.cos(support.yaw), math.sin(support.yaw)
+        dx, dy = goal.x - support.x, goal.y - support.y
+        side = 1.0 if goal.foot is Foot.LEFT else -1.0
+        x, y = c * dx + s * dy, side * (-s * dx + c * dy)
+        turn = abs(math.remainder(goal.yaw - support.yaw, math.tau))
+        if not (
+            own.footholds_x[0] - _ROUNDING <= x <= own.footholds_x[-1] + _ROUNDING
+            and own.footholds_y[0] - _ROUNDING <= y <= own.footholds_y[-1] + _ROUNDING
+            and turn <= MAX_TURN
+        ):
+            raise MessageRefused("reach", f"a footprint at ({x:.3f}, {y:.3f}) m, {turn:.2f} rad")

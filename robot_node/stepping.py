@@ -1,0 +1,392 @@
+"""Steps by touch: the robot decides when its feet lift and land, and by the step law where.
+
+A contact clock counts the phases of the contact mode. A phase on one foot ends when the measured
+force says that the other one bears: the foot that lands early bears at once, and one that lands
+late goes on down. A phase on both feet ends by the plan's time, or when the divergent component of
+motion (DCM) is about to leave the support. Then the robot steps as the step law says. Without a
+plan it stands.
+
+The rungs of its ladder: the step law with a fresh DCM; without a law, the plan's own footprints and
+times; at the end of a plan, the stand on the feet where they are.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.config.settings import RunConfig
+from shared.motion.footprint import Footprint
+from shared.motion.footsteps import standing_footprints
+from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, other
+from shared.motion.stance import Stance, middle
+from shared.motion.standing import Standing
+from shared.motion.step_law import StepChoice, StepLaw, StepQuestion, choose_step
+from shared.motion.swing import SwingPath
+from shared.robots import Foot, Robot
+from shared.wbc.balance import convex_hull, within
+from shared.wbc.contacts import ContactMode
+from shared.wbc.model import Kinematics
+from shared.wbc.reference import Reference, turned
+
+# Weight of a tick in the average of a loaded sole's place: joint positions have noise.
+_AVERAGE = 0.03
+# After a landing the DCM goes to its rest with this time constant [s].
+_SETTLING = 0.6
+# Part of a swing before which a force on the foot is that of lifting off.
+_MAY_LAND = 0.5
+# A foot that has just landed does not step again for so long [s]; the other one may.
+_SAME_FOOT = 0.25
+
+
+@dataclass(slots=True)
+class _Swing:
+    """A foot in the air: its path, and the CoP that the law asks for."""
+
+    foot: Foot
+    begin: float
+    path: SwingPath
+    nominal: Footprint | None
+    nominal_time: float | None
+    cop: np.ndarray | None
+
+
+@dataclass(slots=True)
+class Measured:
+    """What a decision rests on.
+
+    `kinematics` is that of the measured state, `disturbance` (2,) the external force as a shift of
+    the CoP [m], `forces` (3,) those on the soles [N].
+    """
+
+    kinematics: Kinematics
+    disturbance: np.ndarray
+    forces: dict[Foot, np.ndarray]
+
+
+class ContactClock:
+    """The phases of the contact mode, by time and by touch, and the reference in each.
+
+    `phase` is the number of the present phase, and `phase_ns` the time since its begin.
+    """
+
+    def __init__(self, robot: Robot, config: RunConfig) -> None:
+        self.phase = 0
+        self.phase_ns = 0
+        self.law: StepLaw | None = None
+        self.plan: Plan | None = None
+        self._config = config.stepping
+        self._law_gain = config.wbc.balance.gain
+        self._stance = Stance.of(robot)
+        self._omega = self._stance.omega
+        self._standing = Standing(robot).reference(0)
+        self.feet = standing_footprints(robot)
+        self._corners = {foot.side: foot.corners() for foot in robot.description.feet}
+        self._ticks_loaded = dict.fromkeys(Foot, 1000)
+        self._swing: _Swing | None = None
+        self._begin = self._last_time = 0.0
+        self._last_landed: Foot | None = None
+        self._offset = np.zeros(2)
+        self._com: np.ndarray | None = None
+        self._next_ns = 0
+        # The place of the present phase in the plan.
+        self._at = 0
+
+    @property
+    def mode(self) -> ContactMode:
+        """The present contact mode."""
+        return ContactMode.DOUBLE_SUPPORT if self._swing is None else SUPPORT_MODE[self._swing.foot]
+
+    @property
+    def swing_path(self) -> SwingPath | None:
+        """The path of the foot in the air; None on both feet."""
+        return None if self._swing is None else self._swing.path
+
+    def frozen(self, time_ns: int) -> bool:
+        """Return whether the foot in the air is so near its landing that its goal stays."""
+        swing = self._swing
+        return swing is not None and swing.path.end - time_ns * 1e-9 < self._config.freeze
+
+    def take(self, plan: Plan) -> None:
+        """Follow a plan from now on. Its first phase is the present one."""
+        self.plan, self._at = plan, 0
+        if self._swing is not None:
+            self._swing.nominal = plan.phases[0].footprint
+
+    def reference(self, measured: Measured, *, time_ns: int, decides: bool = True) -> Reference:
+        """Advance the clock to a time of the task. Return the reference then.
+
+        Unless it `decides`, the robot stays in its phase.
+        """
+        now, time = measured.kinematics, time_ns * 1e-9
+        self._observe(now)
+        dcm = now.com[:2] + now.com_velocity[:2] / self._omega
+        if self._swing is not None and self._touches(measured.forces, time):
+            self._land(dcm, time)
+        if decides and time_ns >= self._next_ns:
+            self._next_ns = time_ns + self._config.period_ns
+            if self._swing is not None:
+                self._retarget(dcm, measured.disturbance, time)
+            elif time - self._begin >= self._config.double_support or self.phase == 0:
+                self._lift_off(dcm, measured.disturbance, time)
+        self.phase_ns = round((time - self._begin) * 1e9)
+        return self._reference(now, dcm, time)
+
+    def _observe(self, now: Kinematics) -> None:
+        """Average the places of the loaded soles."""
+        for foot, print_ in self.feet.items():
+            if self._swing is not None and foot is self._swing.foot:
+                continue
+            placement = now.sole_placement(foot)
+            x, y, _ = placement.translation.tolist()
+            R = placement.rotation
+            turn = math.remainder(math.atan2(R[1, 0], R[0, 0]) - print_.yaw, math.tau)
+            self._ticks_loaded[foot] += 1
+            share = max(1.0 / self._ticks_loaded[foot], _AVERAGE)
+            self.feet[foot] = Footprint(
+                foot,
+                print_.x + share * (x - print_.x),
+                print_.y + share * (y - print_.y),
+                print_.yaw + share * turn,
+            )
+
+    def _touches(self, forces: dict[Foot, np.ndarray], time: float) -> bool:
+        swing = self._swing
+        assert swing is not None
+        may_land = time - swing.begin >= _MAY_LAND * (swing.path.end - swing.begin)
+        return may_land and bool(forces[swing.foot][2] >= self._config.landing_force)
+
+    def _land(self, dcm: np.ndarray, time: float) -> None:
+        swing = self._swing
+        assert swing is not None
+        self.feet[swing.foot] = swing.path.goal
+        self._ticks_loaded[swing.foot] = 0
+        self._last_landed, self._swing = swing.foot, None
+        self._enter_phase(time)
+        self._offset = dcm - self._stance.rest_over(self.feet)
+
+    def _enter_phase(self, time: float) -> None:
+        self.phase += 1
+        self._begin = time
+        self._at += 1
+
+    @property
+    def _planned(self) -> PlannedPhase | None:
+        """The present phase of the plan; None in a stand."""
+        if self.plan is None or self._at >= len(self.plan.phases):
+            return None
+        return self.plan.phases[self._at]
+
+    @property
+    def _next_planned(self) -> PlannedPhase | None:
+        if self.plan is None or self._at + 1 >= len(self.plan.phases):
+            return None
+        return self.plan.phases[self._at + 1]
+
+    def _ask(
+        self,
+        foot: Foot,
+        dcm: np.ndarray,
+        disturbance: np.ndarray,
+        *,
+        swing: np.ndarray,
+        elapsed: float,
+        nominal: Footprint | None,
+        nominal_time: float | None,
+    ) -> tuple[Footprint, float, np.ndarray, float] | None:
+        """Return footprint, remaining time, CoP and cost of the best step of a foot, by the law."""
+        law = self.law
+        assert law is not None
+        support = self.feet[other(foot)]
+        c, s = math.cos(support.yaw), math.sin(support.yaw)
+        side = 1.0 if foot is Foot.LEFT else -1.0
+        # Axes of the bearing sole as rows, y to the other foot.
+        axes = np.array(((c, s), (-side * s, side * c)))
+        origin = support.position
+        goal = np.array((0.0, law.width))
+        yaw = support.yaw
+        if nominal is not None:
+            goal, yaw = axes @ (nominal.position - origin), nominal.yaw
+        choice: StepChoice | None = choose_step(
+            law,
+            StepQuestion(
+                dcm=axes @ (dcm - origin),
+                disturbance=axes @ disturbance,
+                swing=np.vstack((axes @ (swing[0] - origin), swing[1:] @ axes.T)),
+                elapsed=elapsed,
+                nominal=goal,
+                nominal_time=nominal_time,
+                goes_on=nominal is not None,
+                to_world=np.column_stack((axes.T, origin)),
+            ),
+            least=self._config.freeze,
+            held=self._config.force_lasts,
+        )
+        if choice is None:
+            return None
+        x, y = origin + choice.foothold @ axes
+        return (
+            Footprint(foot, float(x), float(y), yaw),
+            choice.remaining,
+            origin + choice.cop @ axes,
+            choice.cost,
+        )
+
+    def _retarget(self, dcm: np.ndarray, disturbance: np.ndarray, time: float) -> None:
+        swing = self._swing
+        assert swing is not None
+        if self.law is None or swing.path.end - time < self._config.freeze:
+            return
+        state = swing.path.state(time)
+        answer = self._ask(
+            swing.foot,
+            dcm,
+            disturbance,
+            swing=np.array((state.position[:2], state.velocity[:2], state.acceleration[:2])),
+            elapsed=time - swing.begin,
+            nominal=swing.nominal,
+            nominal_time=swing.nominal_time,
+        )
+        if answer is not None:
+            goal, remaining, swing.cop, _ = answer
+            height = self._config.swing_height
+            swing.path = swing.path.retargeted(goal, time=time, end=time + remaining, height=height)
+
+    def _lift_off(self, dcm: np.ndarray, disturbance: np.ndarray, time: float) -> None:
+        """Lift a foot if the plan says so now, or if the robot has to step."""
+        phase, following = self._planned, self._next_planned
+        planned = None
+        if phase is not None and following is not None and following.footprint is not None:
+            planned = following.footprint
+            due = time - self._begin >= (phase.end_ns - phase.begin_ns) * 1e-9
+        if planned is not None and following is not None:
+            if not due:
+                return
+            nominal_time = (following.end_ns - following.begin_ns) * 1e-9
+            self._start_swing(planned.foot, dcm, disturbance, time, planned, nominal_time)
+            return
+        if self.law is None or not self._must_step(dcm, disturbance):
+            return
+        best: tuple[float, Foot] | None = None
+        for foot in Foot:
+            if foot is self._last_landed and time < self._begin + _SAME_FOOT:
+                continue
+            answer = self._ask(
+                foot,
+                dcm,
+                disturbance,
+                swing=self._at_rest(foot),
+                elapsed=0.0,
+                nominal=None,
+                nominal_time=None,
+            )
+            if answer is not None and (best is None or answer[3] < best[0]):
+                best = answer[3], foot
+        if best is not None:
+            self.plan = None
+            self._start_swing(best[1], dcm, disturbance, time, None, None)
+
+    def _at_rest(self, foot: Foot) -> np.ndarray:
+        state = np.zeros((3, 2))
+        state[0] = self.feet[foot].position
+        return state
+
+    def _start_swing(
+        self,
+        foot: Foot,
+        dcm: np.ndarray,
+        disturbance: np.ndarray,
+        time: float,
+        nominal: Footprint | None,
+        nominal_time: float | None,
+    ) -> None:
+        goal, remaining, cop = nominal, nominal_time, None
+        if self.law is not None:
+            answer = self._ask(
+                foot,
+                dcm,
+                disturbance,
+                swing=self._at_rest(foot),
+                elapsed=0.0,
+                nominal=nominal,
+                nominal_time=nominal_time,
+            )
+            if answer is not None:
+                goal, remaining, cop, _ = answer
+        if goal is None or remaining is None:
+            return
+        path = SwingPath.between(
+            self.feet[foot],
+            goal,
+            begin=time,
+            end=time + remaining,
+            height=self._config.swing_height,
+        )
+        self._swing = _Swing(foot, time, path, nominal, nominal_time, cop)
+        self._enter_phase(time)
+
+    def _must_step(self, dcm: np.ndarray, disturbance: np.ndarray) -> bool:
+        """Return whether the DCM is about to leave the support, however the robot balances."""
+        corners = np.concatenate(
+            [
+                [print_.to_world((x, y)) for x, y, _ in self._corners[foot].tolist()]
+                for foot, print_ in self.feet.items()
+            ]
+        )
+        rest = self._stance.rest_over(self.feet)
+        wanted = rest + (1.0 + self._law_gain / self._omega) * (dcm - rest) + disturbance
+        cop = np.array(within(convex_hull(corners), (wanted[0], wanted[1]), beyond=0.0))
+        growth = math.exp(self._omega * self._config.ahead)
+        ahead = cop + (dcm - cop) * growth + (growth - 1.0) * disturbance
+        _, _, yaw = middle(self.feet)
+        aside = self._config.beyond_sideways * turned(yaw)[:2, 1]
+        larger = convex_hull(np.concatenate((corners + aside, corners - aside)))
+        return within(larger, (ahead[0], ahead[1]), beyond=0.0) != (ahead[0], ahead[1])
+
+    def _reference(self, now: Kinematics, dcm: np.ndarray, time: float) -> Reference:
+        standing, swing = self._standing, self._swing
+        state, command, mode = None, None, ContactMode.DOUBLE_SUPPORT
+        _, _, yaw = middle(self.feet)
+        if swing is not None:
+            state = swing.path.state(time)
+            mode = SUPPORT_MODE[swing.foot]
+            support = self.feet[other(swing.foot)]
+            yaw = support.yaw + 0.5 * math.remainder(state.yaw - support.yaw, math.tau)
+        if swing is not None and swing.cop is not None:
+            dcm_ref, cop = dcm, swing.cop
+            command = self._omega**2 * (now.com[:2] - cop)
+        else:
+            dcm_ref, cop = self._planned_dcm(time)
+        # The CoM follows its DCM.
+        if self._com is None or (swing is not None and swing.cop is not None):
+            self._com = np.array(now.com[:2])
+        self._com += (time - self._last_time) * self._omega * (dcm_ref - self._com)
+        self._last_time = time
+        com, velocity, acceleration = np.zeros((3, 3))
+        com[:2], com[2] = self._com, standing.com[2]
+        velocity[:2] = self._omega * (dcm_ref - self._com)
+        acceleration[:2] = self._omega**2 * (self._com - cop)
+        return Reference(
+            com=com,
+            com_velocity=velocity,
+            com_acceleration=acceleration,
+            world_from_base=turned(yaw) @ standing.world_from_base,
+            posture=standing.posture,
+            mode=mode,
+            swing=state,
+            com_command=command,
+        )
+
+    def _planned_dcm(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """The DCM and the CoP of the plan, or of the stand, at a time."""
+        phase = self._planned
+        since = time - self._begin
+        if phase is not None and self._next_planned is not None:
+            left = min(0.0, since - (phase.end_ns - phase.begin_ns) * 1e-9)
+            cop = np.array(phase.cop)
+            return cop + (np.array(phase.dcm) - cop) * math.exp(self._omega * left), cop
+        offset = self._offset * math.exp(-since / _SETTLING)
+        dcm: np.ndarray = self._stance.rest_over(self.feet) + offset
+        return dcm, dcm + offset / (self._omega * _SETTLING)

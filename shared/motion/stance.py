@@ -1,0 +1,64 @@
+"""Where a robot rests over its feet, and what it needs to plan steps: a few lengths."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from shared.motion.com_plan import GRAVITY
+from shared.motion.footprint import Footprint
+from shared.motion.footsteps import standing_footprints
+from shared.robots import Foot, Robot
+from shared.wbc.reference import turned
+
+
+@dataclass(frozen=True)
+class Stance:
+    """The standing robot over its feet.
+
+    `com_height` is the CoM's over the soles and `width` the distance of the sole frames [m].
+    `rest` (2,) is the CoM's place from the middle of the sole frames, `cop_in_sole` the middle of a
+    sole in its frame.
+    """
+
+    com_height: float
+    width: float
+    rest: tuple[float, float]
+    cop_in_sole: tuple[float, float]
+
+    @staticmethod
+    def of(robot: Robot) -> Stance:
+        """The stance of a robot's standing posture."""
+        com = pin.centerOfMass(robot.model, robot.model.createData(), robot.q_standing)
+        feet = standing_footprints(robot)
+        x, y, _ = middle(feet)
+        left, right = feet[Foot.LEFT], feet[Foot.RIGHT]
+        sole_x = robot.description.feet[0].sole_x
+        return Stance(
+            com_height=float(com[2]),
+            width=left.y - right.y,
+            rest=(float(com[0]) - x, float(com[1]) - y),
+            cop_in_sole=(sum(sole_x) / 2, 0.0),
+        )
+
+    @property
+    def omega(self) -> float:
+        """ω of the linear inverted pendulum [1/s]."""
+        return math.sqrt(GRAVITY / self.com_height)
+
+    def rest_over(self, feet: Mapping[Foot, Footprint]) -> np.ndarray:
+        """Return where the CoM rests over feet, (2,)."""
+        x, y, yaw = middle(feet)
+        rest: np.ndarray = np.array((x, y)) + turned(yaw)[:2, :2] @ self.rest
+        return rest
+
+
+def middle(feet: Mapping[Foot, Footprint]) -> tuple[float, float, float]:
+    """The middle between the sole frames, and their mean heading."""
+    left, right = feet[Foot.LEFT], feet[Foot.RIGHT]
+    yaw = left.yaw + 0.5 * math.remainder(right.yaw - left.yaw, math.tau)
+    return (left.x + right.x) / 2, (left.y + right.y) / 2, yaw
