@@ -33,7 +33,7 @@ from shared.process.service import (
 )
 from shared.robots import load_robot
 from shared.telemetry.schema import SOLVE_SCHEMA
-from shared.wire.channels import DOWNLINK, SOLVES_KEY, UPLINK
+from shared.wire.channels import DOWNLINK, PLANS, SOLVES_KEY, UPLINK
 
 _PRIORITY = 10
 _POLL_NS = 50_000_000
@@ -81,6 +81,7 @@ def main() -> int:
     for name, inbox in inboxes.items():
         bus.subscribe(UPLINK.key_for(name), inbox.put)
     downlinks = {name: bus.publisher(DOWNLINK.key_for(name)) for name in served}
+    plan_keys = {name: bus.publisher(PLANS.key_for(name)) for name in served}
     suspend_garbage_collection()
     where = arguments.connect or arguments.listen
     names = ", ".join(f"{name} as {sender_name(downlinks[name].session)}" for name in served)
@@ -106,6 +107,8 @@ def main() -> int:
             ):
                 print(line if len(served) == 1 else f"{name}: {line}", flush=True)
         answer = node.step()
+        for name, plan in node.take_plans():
+            plan_keys[name].publish(plan)
         if answer is None:
             continue
         if answer.data is not None:

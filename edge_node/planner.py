@@ -25,6 +25,12 @@ from shared.wire.messages import RobotState, StepReport
 _VALID_NS = 1_000_000_000
 # Steps of one plan at most, before it comes to a stand.
 _MAX_STEPS = 8
+# Steps of a plan towards a velocity, before its stand.
+_VELOCITY_STEPS = 4
+# The most that a step advances: forward and sideways [m], turning [rad].
+_MOST = (0.15, 0.06, math.radians(15.0))
+# A robot as near to its goal is there [m, rad].
+_AT_GOAL, _TURNED_TO_GOAL = 0.03, math.radians(4.0)
 
 
 @dataclass(frozen=True)
@@ -170,6 +176,73 @@ class WalkPlanner:
             stamp_ns=state.stamp_ns,
             number=number,
         )
+
+
+class PathPlanner:
+    """Steps along a path that a command gives: a velocity, or a goal on flat ground.
+
+    A new `velocity` or `goal` counts from the robot's next phase on. A goal is the middle between
+    the feet and their heading, in the plan's frame. With neither the robot comes to a stand.
+    """
+
+    def __init__(self, robot: Robot, config: RunConfig) -> None:
+        self.velocity = Velocity()
+        self.goal: tuple[float, float, float] | None = None
+        self._build = FootstepBuilder(
+            robot, config.walk, double_support=config.stepping.double_support
+        )
+        self._walk = config.walk
+
+    def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
+        report = state.steps
+        if report is None:
+            return None
+        advance, steps = self._advance(report)
+        in_air = state.mode is not ContactMode.DOUBLE_SUPPORT
+        if steps == 0 and not in_air:
+            return None
+        footprints = footsteps(
+            report,
+            state.mode,
+            advance,
+            steps=max(steps, 1),
+            width=self._walk.step_width or self._build.stance.width,
+            lead=_lead(advance[1], advance[2]),
+        )
+        return self._build.plan(
+            report,
+            state.mode,
+            footprints,
+            com=com,
+            origin=PlanOrigin(state.session, state.sequence, report.phase),
+            stamp_ns=state.stamp_ns,
+            number=number,
+        )
+
+    def _advance(self, report: StepReport) -> tuple[tuple[float, float, float], int]:
+        """Length, sideways part and turn of each step, and the number of steps."""
+        T = self._walk.step_duration
+        if self.goal is None:
+            wanted = self.velocity
+            advance = (wanted.forward * T, wanted.left * T, wanted.turning * T)
+            moves = any(abs(each) > 1e-6 for each in advance)
+            return _bounded(advance), _VELOCITY_STEPS if moves else 0
+        x, y, yaw = middle({each.foot: each for each in report.feet})
+        dx, dy = self.goal[0] - x, self.goal[1] - y
+        c, s = math.cos(yaw), math.sin(yaw)
+        left = (c * dx + s * dy, -s * dx + c * dy, math.remainder(self.goal[2] - yaw, math.tau))
+        if math.hypot(left[0], left[1]) < _AT_GOAL and abs(left[2]) < _TURNED_TO_GOAL:
+            return (0.0, 0.0, 0.0), 0
+        n = max(1, *(math.ceil(abs(each) / most) for each, most in zip(left, _MOST, strict=True)))
+        part = (left[0] / n, left[1] / n, left[2] / n)
+        # The last step brings the feet together.
+        return part, min(n + 1, _MAX_STEPS)
+
+
+def _bounded(advance: tuple[float, float, float]) -> tuple[float, float, float]:
+    """The same advance, made smaller as a whole so that each part is within what a step can do."""
+    ratio = max(1.0, *(abs(each) / most for each, most in zip(advance, _MOST, strict=True)))
+    return advance[0] / ratio, advance[1] / ratio, advance[2] / ratio
 
 
 def _lead(sideways: float, turn: float) -> Foot:

@@ -43,7 +43,7 @@ from shared.process.service import (
     wait_while_held,
 )
 from shared.robots import load_robot
-from shared.wire.channels import DOWNLINK, TICKS_KEY, UPLINK
+from shared.wire.channels import DOWNLINK, PLANS, TICKS_KEY, UPLINK
 
 _PRIORITY = 30
 # Task times stay inside 64 bits of nanoseconds.
@@ -102,6 +102,7 @@ def main() -> int:
         stays=arguments.stay,
     )
     bus.subscribe(DOWNLINK.key_for(me.robot), loop.receive)
+    bus.subscribe(PLANS.key_for(me.robot), loop.receive_plan)
     commands: RobotCommands | None = None
     if log.hub is not None:
         commands = RobotCommands(log.hub, node, loop, _say)
@@ -127,7 +128,7 @@ def main() -> int:
             sent=uplink.sent,
             received=inbox.counter.received,
             lost=inbox.counter.lost,
-            refused=dict(node.cache.refused),
+            refused=dict(node.refused),
             answers=node.answers.by_sender,
             sensor_faults=dict(node.sensor_guard.faults),
             torque_limits=torque_limits(robot, clamp=config.robot.torque_clamp),

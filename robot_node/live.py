@@ -86,6 +86,7 @@ class LiveLoop:
         self._config = config
         self._uplink = uplink
         self._inbox = inbox
+        self._plans = Inbox()
         self._tick = Tick(node, log.row)
         self._explain = explain
         self._stays = stays
@@ -97,7 +98,7 @@ class LiveLoop:
     @property
     def refused(self) -> dict[str, int]:
         """Messages refused so far, by reason."""
-        return dict(self._node.cache.refused)
+        return dict(self._node.refused)
 
     @property
     def answering(self) -> list[str]:
@@ -132,6 +133,10 @@ class LiveLoop:
         if waiting.error is not None:
             raise waiting.error
         return waiting.time_ns
+
+    def receive_plan(self, delivery: Delivery) -> None:
+        """Take in a message on the key of plans; called on the bus's thread."""
+        self._plans.put(delivery)
 
     def run(self, *, duration_ns: int, stopping: Callable[[], bool]) -> None:
         """Run until the task has lasted `duration_ns`, the robot has fallen, or `stopping()` is
@@ -174,6 +179,7 @@ class LiveLoop:
                 late_ns=late_ns,
                 overruns=ticker.overruns,
                 sending_ns=sending_ns,
+                plans=self._plans.take(),
             )
             if answered:
                 self._round_trip_ns = self._arrived_ns - node.cache.newest_stamp_ns

@@ -19,7 +19,7 @@ from typing import Any
 
 from shared.bus.endpoint import SECURE_PROTOCOLS
 from shared.errors import ConfigError
-from shared.wire.channels import DOWNLINK, UPLINK
+from shared.wire.channels import DOWNLINK, PLANS, UPLINK
 
 EDGE, NETEM, ROUTER, AUTHORITY = "edge", "netem", "router", "ca"
 DEFAULT_FOLDER = "keys"
@@ -58,22 +58,23 @@ class Grant:
     """Keys that a node receives from a neighbour, and keys that it sends to it."""
 
     neighbour: str
-    receives: str
-    sends: str
+    receives: tuple[str, ...]
+    sends: tuple[str, ...]
 
 
 def grants(role: str, robots: tuple[str, ...]) -> tuple[Grant, ...]:
     """Return the grants of a role's neighbours, if the role deals with `robots`.
 
-    States travel from robots to the edge, projectors back. A robot has its own keys only. Towards
-    the robot, the shim has the edge's place, and towards the edge the robot's. So has the router.
+    States travel from robots to the edge, projectors and plans back. A robot has its own keys only.
+    Towards the robot, the shim has the edge's place, and towards the edge the robot's. So has the
+    router.
     """
 
     def towards_robot(neighbour: str, robot: str) -> Grant:
-        return Grant(neighbour, receives=UPLINK.key_for(robot), sends=DOWNLINK.key_for(robot))
+        return Grant(neighbour, receives=_up_keys(robot), sends=_down_keys(robot))
 
     def towards_edge(neighbour: str, robot: str) -> Grant:
-        return Grant(neighbour, receives=DOWNLINK.key_for(robot), sends=UPLINK.key_for(robot))
+        return Grant(neighbour, receives=_down_keys(robot), sends=_up_keys(robot))
 
     down = [towards_robot(robot_role(robot), robot) for robot in robots]
     if role == EDGE:
@@ -171,11 +172,19 @@ class Credentials:
         return str(certificate_file(self.folder, self.role)), str(key_file(self.folder, self.role))
 
 
-def _rule(name: str, messages: list[str], flow: str, key: str) -> dict[str, Any]:
+def _up_keys(robot: str) -> tuple[str, ...]:
+    return (UPLINK.key_for(robot),)
+
+
+def _down_keys(robot: str) -> tuple[str, ...]:
+    return (DOWNLINK.key_for(robot), PLANS.key_for(robot))
+
+
+def _rule(name: str, messages: list[str], flow: str, keys: tuple[str, ...]) -> dict[str, Any]:
     return {
         "id": name,
         "messages": messages,
         "flows": [flow],
         "permission": "allow",
-        "key_exprs": [key],
+        "key_exprs": list(keys),
     }

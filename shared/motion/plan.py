@@ -29,7 +29,8 @@ def make_motion(robot: Robot, config: RunConfig) -> Motion:
     Raise `ConfigError` if the motion is not possible.
     """
     motion: Motion = TASKS.make(config.task, robot, config, members=_MEMBERS)
-    return motion
+    # A robot that decides on its steps stands until a plan comes.
+    return motion if config.stepping.mode == "off" else Standing(robot)
 
 
 def standing(robot: Robot, config: RunConfig) -> Motion:

@@ -56,8 +56,8 @@ class BalanceLaw:
     ) -> np.ndarray:
         """The acceleration asked of the CoM in the plane, (2,) in the world [m/s²].
 
-        `wrenches` (6,) in the sole frames [N, N m] are those of the last command. A reference that
-        has a command of its own, as in a step, keeps it.
+        `wrenches` (6,) in the sole frames [N, N m] are those of the last command. In a step
+        the reference has a command already, which stays.
         """
         x, y, height = now.com.tolist()
         rate_x, rate_y, _ = now.com_velocity.tolist()

@@ -20,7 +20,7 @@ from shared.wbc.reference import SwingState
 
 @dataclass(slots=True)
 class StepReport:
-    """What a robot that decides on its steps says of them.
+    """The steps of a robot that decides on them itself.
 
     `phase` counts the phases of its contact clock, `phase_ns` is the time in the present one.
     `plan` is the number of the plan that it follows, −1 without one, `law` the identity of its step

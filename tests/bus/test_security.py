@@ -30,8 +30,8 @@ def allowed(role: str, *robots: str) -> set[tuple[str, str, str]]:
     """(neighbour, what, key) of everything that a role lets pass."""
     found = set()
     for grant in grants(role, robots):
-        found |= {(grant.neighbour, "receives", grant.receives)}
-        found |= {(grant.neighbour, "sends", grant.sends)}
+        found |= {(grant.neighbour, "receives", key) for key in grant.receives}
+        found |= {(grant.neighbour, "sends", key) for key in grant.sends}
     return found
 
 
@@ -39,7 +39,11 @@ def test_a_robot_receives_its_own_projectors_and_sends_its_own_state_and_nothing
     assert allowed("robot-romeo", "romeo") == {
         (neighbour, what, key)
         for neighbour in ("edge", "netem", "router")
-        for what, key in (("receives", "wbc/romeo/projector"), ("sends", "wbc/romeo/state"))
+        for what, key in (
+            ("receives", "wbc/romeo/projector"),
+            ("receives", "wbc/romeo/plan"),
+            ("sends", "wbc/romeo/state"),
+        )
     }
 
 
@@ -47,7 +51,11 @@ def test_the_edge_receives_states_and_sends_projectors_and_nothing_else():
     assert allowed("edge", "romeo") == {
         (neighbour, what, key)
         for neighbour in ("robot-romeo", "netem", "router")
-        for what, key in (("receives", "wbc/romeo/state"), ("sends", "wbc/romeo/projector"))
+        for what, key in (
+            ("receives", "wbc/romeo/state"),
+            ("sends", "wbc/romeo/projector"),
+            ("sends", "wbc/romeo/plan"),
+        )
     }
 
 
@@ -55,19 +63,24 @@ def test_the_shim_is_the_edge_to_the_robot_and_the_robot_to_the_edge():
     towards_edge = {
         (neighbour, what, key)
         for neighbour in ("edge", "router")
-        for what, key in (("receives", "wbc/romeo/projector"), ("sends", "wbc/romeo/state"))
+        for what, key in (
+            ("receives", "wbc/romeo/projector"),
+            ("receives", "wbc/romeo/plan"),
+            ("sends", "wbc/romeo/state"),
+        )
     }
     assert allowed("netem", "romeo") == towards_edge | {
         ("robot-romeo", "receives", "wbc/romeo/state"),
         ("robot-romeo", "sends", "wbc/romeo/projector"),
+        ("robot-romeo", "sends", "wbc/romeo/plan"),
     }
 
 
 def test_a_router_lets_every_robot_use_its_own_keys_only():
     robots = [each for each in grants("router", ("amy", "ben")) if "robot" in each.neighbour]
     assert robots == [
-        Grant("robot-amy", receives="wbc/amy/state", sends="wbc/amy/projector"),
-        Grant("robot-ben", receives="wbc/ben/state", sends="wbc/ben/projector"),
+        Grant("robot-amy", ("wbc/amy/state",), ("wbc/amy/projector", "wbc/amy/plan")),
+        Grant("robot-ben", ("wbc/ben/state",), ("wbc/ben/projector", "wbc/ben/plan")),
     ]
     assert ("edge", "receives", "wbc/*/projector") in allowed("router", "amy")
     assert ("edge", "sends", "wbc/*/state") in allowed("router", "amy")

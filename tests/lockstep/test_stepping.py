@@ -1,0 +1,90 @@
+"""Steps by touch: out of standing after a push, and a walk by plans of the edge."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiments.lockstep import Lockstep
+from shared.config.config_file import load_config
+from shared.errors import ConfigError
+from shared.wbc.contacts import ContactMode
+
+STEPS = {
+    "controller": "lc",
+    "link.network": "constant:10ms",
+    "plant.joint_limits": True,
+    "plant.leg_collision": True,
+    "wbc.limits.torque": True,
+    "wbc.limits.position": True,
+    "wbc.balance.law": "dcm",
+    "wbc.weights.com": 10.0,
+    "wbc.weights.swing_foot": 3.0,
+    "stepping.mode": "on",
+}
+WALK = {
+    **STEPS,
+    "task": "walk",
+    "push": [],
+    "wire.projector_dtype": "float32",
+    "sensors.joint_position_noise": 1e-3,
+    "walk.step_duration": 0.5,
+    "walk.steps": 3,
+    "walk.begin_duration": 0.6,
+}
+
+
+def play(**settings):
+    lockstep = Lockstep(load_config(None, {"view": "off", **settings}), all_active_sets=False)
+    return lockstep, lockstep.run()
+
+
+def switches(result):
+    mode = result.schema.column(result.rows, "mode")
+    return int(np.count_nonzero(np.diff(mode)))
+
+
+def test_without_a_push_the_robot_does_not_step():
+    lockstep, result = play(**STEPS, push=[], duration=0.5)
+    assert lockstep.robot.clock.phase == 0
+    assert lockstep.robot.plans.law != 0
+    assert switches(result) == 0
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_after_a_hard_push_the_robot_steps_and_stands(cut):
+    """150 N forward for 0.2 s, half as much again as it stands without a step; with the link cut
+    at the push, the on-board computer factorises.
+    """
+    settings = {"link.outage": ["cut@200ms"], "correction.on_board_budget": 0.3} if cut else {}
+    lockstep, result = play(**STEPS, push=["150N@0.2s:0.2s:+x"], duration=1.6, **settings)
+    assert not result.summary["fell"]
+    assert switches(result) >= 2
+    assert lockstep.robot.clock.mode is ContactMode.DOUBLE_SUPPORT
+    assert not lockstep.robot.refused
+    ahead = lockstep.robot.clock.feet.values()
+    assert max(foot.x for foot in ahead) > 0.1
+
+
+def test_a_walk_goes_by_plans_and_touch():
+    lockstep, result = play(**WALK, duration=2.8)
+    clock = lockstep.robot.clock
+    assert not result.summary["fell"]
+    assert clock.phase == 6
+    assert lockstep.robot.plans.plan >= 5
+    left, right = clock.feet.values()
+    # Two steps of 0.1 m and one that brings the feet together.
+    assert left.x == pytest.approx(right.x, abs=0.06)
+    assert (left.x + right.x) / 2 == pytest.approx(0.21, abs=0.06)
+
+
+def test_a_walk_whose_link_dies_ends_in_a_stand():
+    lockstep, result = play(**WALK, duration=2.8, **{"link.outage": ["cut@900ms"]})
+    assert not result.summary["fell"]
+    assert lockstep.robot.clock.phase == 6
+    assert lockstep.robot.clock.mode is ContactMode.DOUBLE_SUPPORT
+
+
+def test_steps_need_the_balance_law():
+    with pytest.raises(ConfigError, match="expected wbc"):
+        load_config(None, {"stepping.mode": "on"})
