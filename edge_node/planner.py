@@ -17,6 +17,8 @@ from shared.errors import ConfigError
 from shared.motion.footprint import Footprint
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin, other
 from shared.motion.stance import Stance, middle
+from shared.motion.step_decision import Balance, InAir, StepDecision
+from shared.motion.step_law import StepLaw
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
@@ -43,7 +45,12 @@ class Velocity:
 
 
 class Planner(Protocol):
-    """Where a robot goes."""
+    """Where a robot goes.
+
+    One that `reacts` is asked at every state, any other at the first one of each phase.
+    """
+
+    reacts: bool
 
     def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
         """Return the plan from the phase of a state on, or None for a stand.
@@ -133,8 +140,72 @@ class FootstepBuilder:
 class StandingPlanner:
     """The robot stands, and steps only if its step law says so."""
 
+    reacts = False
+
     def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
         return None
+
+
+class ReactivePlanner:
+    """Steps of a standing robot that must step, decided on the edge alone: for comparison.
+
+    The decision is that of the robot's step law, at a state that is as old as the link is slow.
+    """
+
+    reacts = True
+
+    def __init__(self, robot: Robot, config: RunConfig, law: StepLaw) -> None:
+        self._law = law
+        self._decision = StepDecision(robot, config)
+        self._double_support_ns = round(config.stepping.double_support * 1e9)
+        self._end_ns = round(config.walk.end_duration * 1e9)
+
+    def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
+        report = state.steps
+        if report is None:
+            return None
+        feet = {each.foot: each for each in report.feet}
+        dcm = com[0] + com[1] / self._decision.stance.omega
+        balance = Balance(feet, dcm, report.disturbance)
+        phases: list[PlannedPhase] = []
+        begin_ns = 0
+        if state.mode is ContactMode.DOUBLE_SUPPORT:
+            waits = report.phase > 0 and report.phase_ns < self._double_support_ns
+            if waits or not self._decision.must_step(balance):
+                return None
+            step = self._decision.best_step(self._law, balance)
+            begin_ns = report.phase_ns + 1_000_000
+            point = (float(dcm[0]), float(dcm[1]))
+            phases.append(PlannedPhase(state.mode, 0, begin_ns, None, point, point))
+        else:
+            if report.swing is None:
+                return None
+            swing = report.swing
+            motion = np.array((swing.position[:2], swing.velocity[:2], swing.acceleration[:2]))
+            foot = next(each for each, during in SUPPORT_MODE.items() if during is state.mode)
+            in_air = InAir(foot, motion, report.phase_ns * 1e-9)
+            step = self._decision.step(self._law, balance, in_air)
+        if step is None:
+            return None
+        goal = step.footprint
+        elapsed_ns = 0 if phases else report.phase_ns
+        end_ns = begin_ns + elapsed_ns + round(step.remaining * 1e9)
+        cop, at_end = (tuple(each.tolist()) for each in (step.cop, step.dcm))
+        mode = SUPPORT_MODE[goal.foot]
+        phases.append(PlannedPhase(mode, begin_ns, end_ns, goal, cop, at_end))
+        feet[goal.foot] = goal
+        rest = self._decision.stance.rest_over(feet)
+        stand = (float(rest[0]), float(rest[1]))
+        both = ContactMode.DOUBLE_SUPPORT
+        phases.append(PlannedPhase(both, end_ns, end_ns + self._end_ns, None, stand, stand))
+        return Plan(
+            number=number,
+            origin=PlanOrigin(state.session, state.sequence, report.phase),
+            valid_until_ns=state.stamp_ns + _VALID_NS,
+            feet=report.feet,
+            com=(float(com[0, 0]), float(com[0, 1])),
+            phases=tuple(phases),
+        )
 
 
 class WalkPlanner:
@@ -142,6 +213,8 @@ class WalkPlanner:
 
     The path goes on from where the feet are. A step that a push has moved is not made up for.
     """
+
+    reacts = False
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
         self._build = FootstepBuilder(
@@ -184,6 +257,8 @@ class PathPlanner:
     A new `velocity` or `goal` counts from the robot's next phase on. A goal is the middle between
     the feet and their heading, in the plan's frame. With neither the robot comes to a stand.
     """
+
+    reacts = False
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
         self.velocity = Velocity()
@@ -295,10 +370,11 @@ def footsteps(
     return made
 
 
-def make_planner(robot: Robot, config: RunConfig) -> Planner:
+def make_planner(robot: Robot, config: RunConfig, law: StepLaw) -> Planner:
     """Return the planner of a task. Raise `ConfigError` if the task has none."""
     if config.task == "balance":
-        return StandingPlanner()
+        alone = config.stepping.mode == "edge"
+        return ReactivePlanner(robot, config, law) if alone else StandingPlanner()
     if config.task == "walk":
         return WalkPlanner(robot, config)
     raise ConfigError(f"stepping: expected the task balance or walk, got {config.task!r}")

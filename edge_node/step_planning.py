@@ -28,7 +28,9 @@ class StepPlanning:
     def __init__(self, robot: Robot, config: RunConfig) -> None:
         self.law: StepLaw = as_sent(make_step_law(robot, Stance.of(robot)))
         self.law_identity = law_identity(self.law)
-        self.planner: Planner = make_planner(robot, config)
+        self.planner: Planner = make_planner(robot, config, self.law)
+        # The planner on the edge alone decides without a law on the robot.
+        self.sends_law = config.stepping.mode == "on"
         self._standing = Standing(robot).reference(0)
 
     def reference(self, state: RobotState) -> Reference | None:
@@ -61,11 +63,13 @@ class StepDelivery:
         steps, now_ns = state.steps, state.stamp_ns
         if steps is None or now_ns - self._sent_ns < _INTERVAL_NS:
             return None
-        if steps.law != planning.law_identity and now_ns - self._law_sent_ns >= self._retry_ns:
+        lacks_law = planning.sends_law and steps.law != planning.law_identity
+        if lacks_law and now_ns - self._law_sent_ns >= self._retry_ns:
             self._sent_ns = self._law_sent_ns = now_ns
             return planning.law
         lacking = steps.plan < self._number and now_ns - self._sent_ns >= self._retry_ns
-        if steps.phase == self._planned_phase and not lacking:
+        due = planning.planner.reacts or steps.phase != self._planned_phase
+        if not due and not lacking:
             return None
         number = max(steps.plan, self._number) + 1
         plan = planning.planner.plan(state, com=_com(state, model), number=number)

@@ -226,6 +226,7 @@ class RobotNode:
             law=plans.law,
             feet=(clock.feet[Foot.LEFT], clock.feet[Foot.RIGHT]),
             swing=self._reference.swing,
+            disturbance=self.controller.disturbance,
         )
 
     def receive_plan(self, delivery: Delivery) -> bool:

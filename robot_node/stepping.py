@@ -21,12 +21,12 @@ from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import standing_footprints
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, other
-from shared.motion.stance import Stance, middle
+from shared.motion.stance import middle
 from shared.motion.standing import Standing
-from shared.motion.step_law import StepChoice, StepLaw, StepQuestion, choose_step
+from shared.motion.step_decision import Balance, InAir, StepDecision
+from shared.motion.step_law import StepLaw
 from shared.motion.swing import SwingPath
 from shared.robots import Foot, Robot
-from shared.wbc.balance import convex_hull, within
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import Kinematics
 from shared.wbc.reference import Reference, turned
@@ -78,12 +78,11 @@ class ContactClock:
         self.law: StepLaw | None = None
         self.plan: Plan | None = None
         self._config = config.stepping
-        self._law_gain = config.wbc.balance.gain
-        self._stance = Stance.of(robot)
+        self._decision = StepDecision(robot, config)
+        self._stance = self._decision.stance
         self._omega = self._stance.omega
         self._standing = Standing(robot).reference(0)
         self.feet = standing_footprints(robot)
-        self._corners = {foot.side: foot.corners() for foot in robot.description.feet}
         self._ticks_loaded = dict.fromkeys(Foot, 1000)
         self._swing: _Swing | None = None
         self._begin = self._last_time = 0.0
@@ -112,8 +111,15 @@ class ContactClock:
     def take(self, plan: Plan) -> None:
         """Follow a plan from now on. Its first phase is the present one."""
         self.plan, self._at = plan, 0
-        if self._swing is not None:
-            self._swing.nominal = plan.phases[0].footprint
+        swing, goal = self._swing, plan.phases[0].footprint
+        if swing is None or goal is None:
+            return
+        duration = (plan.phases[0].end_ns - plan.phases[0].begin_ns) * 1e-9
+        swing.nominal, swing.nominal_time = goal, duration
+        if self.law is None:
+            # Not sooner than the foot may still change its goal.
+            end = max(swing.begin + duration, self._last_time + self._config.freeze)
+            self._redirect(swing, goal, time=self._last_time, end=end)
 
     def reference(self, measured: Measured, *, time_ns: int, decides: bool = True) -> Reference:
         """Advance the clock to a time of the task. Return the reference then.
@@ -127,10 +133,11 @@ class ContactClock:
             self._land(dcm, time)
         if decides and time_ns >= self._next_ns:
             self._next_ns = time_ns + self._config.period_ns
+            balance = Balance(self.feet, dcm, measured.disturbance)
             if self._swing is not None:
-                self._retarget(dcm, measured.disturbance, time)
+                self._retarget(balance, time)
             elif time - self._begin >= self._config.double_support or self.phase == 0:
-                self._lift_off(dcm, measured.disturbance, time)
+                self._lift_off(balance, time)
         self.phase_ns = round((time - self._begin) * 1e9)
         return self._reference(now, dcm, time)
 
@@ -185,165 +192,71 @@ class ContactClock:
             return None
         return self.plan.phases[self._at + 1]
 
-    def _ask(
-        self,
-        foot: Foot,
-        dcm: np.ndarray,
-        disturbance: np.ndarray,
-        *,
-        swing: np.ndarray,
-        elapsed: float,
-        nominal: Footprint | None,
-        nominal_time: float | None,
-    ) -> tuple[Footprint, float, np.ndarray, float] | None:
-        """Return footprint, remaining time, CoP and cost of the best step of a foot, by the law."""
-        law = self.law
-        assert law is not None
-        support = self.feet[other(foot)]
-        c, s = math.cos(support.yaw), math.sin(support.yaw)
-        side = 1.0 if foot is Foot.LEFT else -1.0
-        # Axes of the bearing sole as rows, y to the other foot.
-        axes = np.array(((c, s), (-side * s, side * c)))
-        origin = support.position
-        goal = np.array((0.0, law.width))
-        yaw = support.yaw
-        if nominal is not None:
-            goal, yaw = axes @ (nominal.position - origin), nominal.yaw
-        choice: StepChoice | None = choose_step(
-            law,
-            StepQuestion(
-                dcm=axes @ (dcm - origin),
-                disturbance=axes @ disturbance,
-                swing=np.vstack((axes @ (swing[0] - origin), swing[1:] @ axes.T)),
-                elapsed=elapsed,
-                nominal=goal,
-                nominal_time=nominal_time,
-                goes_on=nominal is not None,
-                to_world=np.column_stack((axes.T, origin)),
-            ),
-            least=self._config.freeze,
-            held=self._config.force_lasts,
-        )
-        if choice is None:
-            return None
-        x, y = origin + choice.foothold @ axes
-        return (
-            Footprint(foot, float(x), float(y), yaw),
-            choice.remaining,
-            origin + choice.cop @ axes,
-            choice.cost,
-        )
-
-    def _retarget(self, dcm: np.ndarray, disturbance: np.ndarray, time: float) -> None:
+    def _retarget(self, balance: Balance, time: float) -> None:
         swing = self._swing
         assert swing is not None
         if self.law is None or swing.path.end - time < self._config.freeze:
             return
         state = swing.path.state(time)
-        answer = self._ask(
-            swing.foot,
-            dcm,
-            disturbance,
-            swing=np.array((state.position[:2], state.velocity[:2], state.acceleration[:2])),
-            elapsed=time - swing.begin,
-            nominal=swing.nominal,
-            nominal_time=swing.nominal_time,
+        motion = np.array((state.position[:2], state.velocity[:2], state.acceleration[:2]))
+        step = self._decision.step(
+            self.law,
+            balance,
+            InAir(swing.foot, motion, time - swing.begin, swing.nominal, swing.nominal_time),
         )
-        if answer is not None:
-            goal, remaining, swing.cop, _ = answer
-            height = self._config.swing_height
-            swing.path = swing.path.retargeted(goal, time=time, end=time + remaining, height=height)
+        if step is not None:
+            swing.cop = step.cop
+            self._redirect(swing, step.footprint, time=time, end=time + step.remaining)
 
-    def _lift_off(self, dcm: np.ndarray, disturbance: np.ndarray, time: float) -> None:
+    def _redirect(self, swing: _Swing, goal: Footprint, *, time: float, end: float) -> None:
+        height = self._config.swing_height
+        swing.path = swing.path.retargeted(goal, time=time, end=end, height=height)
+
+    def _lift_off(self, balance: Balance, time: float) -> None:
         """Lift a foot if the plan says so now, or if the robot has to step."""
         phase, following = self._planned, self._next_planned
-        planned = None
         if phase is not None and following is not None and following.footprint is not None:
-            planned = following.footprint
-            due = time - self._begin >= (phase.end_ns - phase.begin_ns) * 1e-9
-        if planned is not None and following is not None:
-            if not due:
-                return
-            nominal_time = (following.end_ns - following.begin_ns) * 1e-9
-            self._start_swing(planned.foot, dcm, disturbance, time, planned, nominal_time)
+            if time - self._begin >= (phase.end_ns - phase.begin_ns) * 1e-9:
+                duration = (following.end_ns - following.begin_ns) * 1e-9
+                self._lift_as_planned(following.footprint, duration, balance, time)
             return
-        if self.law is None or not self._must_step(dcm, disturbance):
+        if self.law is None or not self._decision.must_step(balance):
             return
-        best: tuple[float, Foot] | None = None
-        for foot in Foot:
-            if foot is self._last_landed and time < self._begin + _SAME_FOOT:
-                continue
-            answer = self._ask(
-                foot,
-                dcm,
-                disturbance,
-                swing=self._at_rest(foot),
-                elapsed=0.0,
-                nominal=None,
-                nominal_time=None,
-            )
-            if answer is not None and (best is None or answer[3] < best[0]):
-                best = answer[3], foot
-        if best is not None:
+        stays = self._last_landed if time < self._begin + _SAME_FOOT else None
+        step = self._decision.best_step(self.law, balance, without=stays)
+        if step is not None:
             self.plan = None
-            self._start_swing(best[1], dcm, disturbance, time, None, None)
+            self._start_swing(step.footprint, time, time + step.remaining, cop=step.cop)
 
-    def _at_rest(self, foot: Foot) -> np.ndarray:
-        state = np.zeros((3, 2))
-        state[0] = self.feet[foot].position
-        return state
+    def _lift_as_planned(
+        self, goal: Footprint, duration: float, balance: Balance, time: float
+    ) -> None:
+        step = None
+        if self.law is not None:
+            start = InAir.at_rest(self.feet[goal.foot], goal, duration)
+            step = self._decision.step(self.law, balance, start)
+        nominal = (goal, duration)
+        if step is None:
+            self._start_swing(goal, time, time + duration, nominal=nominal)
+        else:
+            self._start_swing(
+                step.footprint, time, time + step.remaining, cop=step.cop, nominal=nominal
+            )
 
     def _start_swing(
         self,
-        foot: Foot,
-        dcm: np.ndarray,
-        disturbance: np.ndarray,
+        goal: Footprint,
         time: float,
-        nominal: Footprint | None,
-        nominal_time: float | None,
+        end: float,
+        *,
+        cop: np.ndarray | None = None,
+        nominal: tuple[Footprint, float] | None = None,
     ) -> None:
-        goal, remaining, cop = nominal, nominal_time, None
-        if self.law is not None:
-            answer = self._ask(
-                foot,
-                dcm,
-                disturbance,
-                swing=self._at_rest(foot),
-                elapsed=0.0,
-                nominal=nominal,
-                nominal_time=nominal_time,
-            )
-            if answer is not None:
-                goal, remaining, cop, _ = answer
-        if goal is None or remaining is None:
-            return
-        path = SwingPath.between(
-            self.feet[foot],
-            goal,
-            begin=time,
-            end=time + remaining,
-            height=self._config.swing_height,
-        )
-        self._swing = _Swing(foot, time, path, nominal, nominal_time, cop)
+        start, height = self.feet[goal.foot], self._config.swing_height
+        path = SwingPath.between(start, goal, begin=time, end=end, height=height)
+        planned, duration = (None, None) if nominal is None else nominal
+        self._swing = _Swing(goal.foot, time, path, planned, duration, cop)
         self._enter_phase(time)
-
-    def _must_step(self, dcm: np.ndarray, disturbance: np.ndarray) -> bool:
-        """Return whether the DCM is about to leave the support, however the robot balances."""
-        corners = np.concatenate(
-            [
-                [print_.to_world((x, y)) for x, y, _ in self._corners[foot].tolist()]
-                for foot, print_ in self.feet.items()
-            ]
-        )
-        rest = self._stance.rest_over(self.feet)
-        wanted = rest + (1.0 + self._law_gain / self._omega) * (dcm - rest) + disturbance
-        cop = np.array(within(convex_hull(corners), (wanted[0], wanted[1]), beyond=0.0))
-        growth = math.exp(self._omega * self._config.ahead)
-        ahead = cop + (dcm - cop) * growth + (growth - 1.0) * disturbance
-        _, _, yaw = middle(self.feet)
-        aside = self._config.beyond_sideways * turned(yaw)[:2, 1]
-        larger = convex_hull(np.concatenate((corners + aside, corners - aside)))
-        return within(larger, (ahead[0], ahead[1]), beyond=0.0) != (ahead[0], ahead[1])
 
     def _reference(self, now: Kinematics, dcm: np.ndarray, time: float) -> Reference:
         standing, swing = self._standing, self._swing

@@ -349,7 +349,10 @@ class SteppingConfig:
     """
 
     mode: str = setting(
-        "off", help="steps that the robot decides on", choices=("off", "on"), flag="--stepping"
+        "off",
+        help="who decides on steps: nobody, the robot, or the edge alone",
+        choices=("off", "on", "edge"),
+        flag="--stepping",
     )
     ahead: float = setting(
         0.06, help="time for which the robot looks ahead before it steps", unit="s", at_least=0.0

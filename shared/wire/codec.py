@@ -483,8 +483,8 @@ def _check_size(kind: str, size: int, max_bytes: int) -> None:
 
 
 # The two soles (x, y, heading), then position, velocity, acceleration and heading with its first
-# and second derivative of the foot in the air.
-_POSES = 6 + 12
+# and second derivative of the foot in the air, then the disturbance.
+_POSES = 6 + 12 + 2
 _STEP_SLOTS = {
     "phase": INTEGER,
     "phase_ns": INTEGER,
@@ -501,7 +501,8 @@ def _step_values(steps: StepReport) -> tuple[int | bytes, ...]:
         poses[3 * k : 3 * k + 3] = print_.x, print_.y, print_.yaw
     if (swing := steps.swing) is not None:
         poses[6:15] = np.concatenate((swing.position, swing.velocity, swing.acceleration))
-        poses[15:] = swing.yaw, swing.yaw_rate, swing.yaw_acceleration
+        poses[15:18] = swing.yaw, swing.yaw_rate, swing.yaw_acceleration
+    poses[18:] = steps.disturbance
     return (
         steps.phase,
         steps.phase_ns,
@@ -521,9 +522,9 @@ def _steps_of(
     left, right = numbers[:3].tolist(), numbers[3:6].tolist()
     swing = None
     if mode is not ContactMode.DOUBLE_SUPPORT:
-        swing = SwingState(numbers[6:9], numbers[9:12], numbers[12:15], *numbers[15:].tolist())
+        swing = SwingState(numbers[6:9], numbers[9:12], numbers[12:15], *numbers[15:18].tolist())
     feet = (Footprint(Foot.LEFT, *left), Footprint(Foot.RIGHT, *right))
-    return StepReport(phase, phase_ns, plan, law, feet, swing)
+    return StepReport(phase, phase_ns, plan, law, feet, swing, numbers[18:])
 
 
 def _steps(fields: Any, mode: ContactMode) -> StepReport:

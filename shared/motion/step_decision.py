@@ -1,0 +1,152 @@
+"""Decisions on steps: whether the robot must step, and by the step law with which foot and where.
+
+The robot decides from its newest state. With `stepping.mode = "edge"` the edge does, from the state
+that has come to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.config.settings import RunConfig
+from shared.motion.footprint import Footprint
+from shared.motion.planned import other
+from shared.motion.stance import Stance, middle
+from shared.motion.step_law import StepLaw, StepQuestion, choose_step
+from shared.robots import Foot, Robot
+from shared.wbc.balance import convex_hull, within
+from shared.wbc.reference import turned
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """What a decision rests on: the soles, the DCM and the external force as a shift of the CoP,
+    (2,) each, in the plan's frame [m].
+    """
+
+    feet: Mapping[Foot, Footprint]
+    dcm: np.ndarray
+    disturbance: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class InAir:
+    """A step under way or about to begin.
+
+    `motion` (3, 2): position, velocity and acceleration in the plane that the foot has been given.
+    `elapsed` is the time since it lifted. `nominal` and `nominal_time` are those of an undisturbed
+    step, None if the robot steps only because it must.
+    """
+
+    foot: Foot
+    motion: np.ndarray
+    elapsed: float = 0.0
+    nominal: Footprint | None = None
+    nominal_time: float | None = None
+
+    @staticmethod
+    def at_rest(
+        print_: Footprint, nominal: Footprint | None = None, nominal_time: float | None = None
+    ) -> InAir:
+        """The step of a foot that is on the ground yet."""
+        motion = np.zeros((3, 2))
+        motion[0] = print_.position
+        return InAir(print_.foot, motion, 0.0, nominal, nominal_time)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A decision: the footprint, the time until the landing [s], the CoP until then and the DCM at
+    the landing (2,), the price J.
+    """
+
+    footprint: Footprint
+    remaining: float
+    cop: np.ndarray
+    dcm: np.ndarray
+    cost: float
+
+
+class StepDecision:
+    """The decisions of one robot."""
+
+    def __init__(self, robot: Robot, config: RunConfig) -> None:
+        self.stance = Stance.of(robot)
+        self._config = config.stepping
+        self._gain = config.wbc.balance.gain
+        self._corners = {foot.side: foot.corners() for foot in robot.description.feet}
+
+    def must_step(self, balance: Balance) -> bool:
+        """Return whether the DCM is about to leave the support, however the robot balances."""
+        corners = np.array(
+            [
+                print_.to_world((x, y))
+                for foot, print_ in balance.feet.items()
+                for x, y, _ in self._corners[foot].tolist()
+            ]
+        )
+        dcm, disturbance, omega = balance.dcm, balance.disturbance, self.stance.omega
+        rest = self.stance.rest_over(balance.feet)
+        wanted = rest + (1.0 + self._gain / omega) * (dcm - rest) + disturbance
+        cop = np.array(within(convex_hull(corners), (wanted[0], wanted[1]), beyond=0.0))
+        growth = math.exp(omega * self._config.ahead)
+        ahead = cop + (dcm - cop) * growth + (growth - 1.0) * disturbance
+        _, _, yaw = middle(balance.feet)
+        aside = self._config.beyond_sideways * turned(yaw)[:2, 1]
+        larger = convex_hull(np.concatenate((corners + aside, corners - aside)))
+        return within(larger, (ahead[0], ahead[1]), beyond=0.0) != (ahead[0], ahead[1])
+
+    def step(self, law: StepLaw, balance: Balance, in_air: InAir) -> Step | None:
+        """Return the best step of a foot by the law, or None if none is within reach."""
+        support = balance.feet[other(in_air.foot)]
+        c, s = math.cos(support.yaw), math.sin(support.yaw)
+        side = 1.0 if in_air.foot is Foot.LEFT else -1.0
+        # Axes of the bearing sole as rows, y to the other foot.
+        axes = np.array(((c, s), (-side * s, side * c)))
+        origin = support.position
+        goal, yaw = np.array((0.0, law.width)), support.yaw
+        if in_air.nominal is not None:
+            goal, yaw = axes @ (in_air.nominal.position - origin), in_air.nominal.yaw
+        motion = in_air.motion @ axes.T
+        motion[0] -= axes @ origin
+        choice = choose_step(
+            law,
+            StepQuestion(
+                dcm=axes @ (balance.dcm - origin),
+                disturbance=axes @ balance.disturbance,
+                swing=motion,
+                elapsed=in_air.elapsed,
+                nominal=goal,
+                nominal_time=in_air.nominal_time,
+                goes_on=in_air.nominal is not None,
+                to_world=np.column_stack((axes.T, origin)),
+            ),
+            least=self._config.freeze,
+            held=self._config.force_lasts,
+        )
+        if choice is None:
+            return None
+        x, y = origin + choice.foothold @ axes
+        return Step(
+            Footprint(in_air.foot, float(x), float(y), yaw),
+            choice.remaining,
+            origin + choice.cop @ axes,
+            origin + choice.dcm_at_end @ axes,
+            choice.cost,
+        )
+
+    def best_step(
+        self, law: StepLaw, balance: Balance, *, without: Foot | None = None
+    ) -> Step | None:
+        """Return the best step of either foot, or of the other one than `without`."""
+        steps = [
+            self.step(law, balance, InAir.at_rest(balance.feet[foot]))
+            for foot in Foot
+            if foot is not without
+        ]
+        found = [step for step in steps if step is not None]
+        return min(found, key=lambda step: step.cost) if found else None
