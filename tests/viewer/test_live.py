@@ -60,7 +60,8 @@ def test_a_dead_screen_is_told_with_what_else_to_try(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("viewer.display.SETTLE", PATIENCE_SECONDS)
     monkeypatch.setenv("DISPLAY", ":987")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(UserError, match=r"window could not be opened.*--view native, web, page, record"):
+    views = "--view native, web, page, record"
+    with pytest.raises(UserError, match=rf"window could not be opened.*{views}"):
         Display(new_recording("test"), "native", blueprint=LAYOUT, file=None)
 
 

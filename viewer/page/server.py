@@ -38,8 +38,9 @@ _PATIENCE = 20.0
 
 
 class PageServer:
-    """The page of one run. `robot` is the JSON that does not change: title and hulls. `state` is the
-    first state.
+    """The page of one run.
+
+    `robot` is the JSON that does not change: title and hulls. `state` is the first state.
 
     `command` carries out a line of text and returns an answer, empty if there is nothing to say. It
     raises `UserError` to refuse. It is called on a thread, one call at a time.
