@@ -37,7 +37,7 @@ class Stance:
         feet = standing_footprints(robot)
         x, y, _ = middle(feet)
         left, right = feet[Foot.LEFT], feet[Foot.RIGHT]
-        sole_x = robot.description.feet[0].sole_x
+        sole_x = robot.soles[0].x
         return Stance(
             com_height=float(com[2]),
             width=left.y - right.y,

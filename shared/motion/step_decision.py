@@ -78,7 +78,7 @@ class StepDecision:
         self.stance = Stance.of(robot)
         self._config = config.stepping
         self._gain = config.wbc.balance.gain
-        self._corners = {foot.side: foot.corners() for foot in robot.description.feet}
+        self._corners = {sole.side: sole.corners() for sole in robot.soles}
 
     def must_step(self, balance: Balance) -> bool:
         """Return whether the DCM is about to leave the support, however the robot balances."""

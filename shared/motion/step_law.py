@@ -117,11 +117,11 @@ class StepChoice:
 def make_step_law(robot: Robot, stance: Stance) -> StepLaw:
     """Make the tables for a robot that rests in a stance."""
     width = stance.width
-    foot = next(each for each in robot.description.feet if each.side is Foot.RIGHT)
+    sole = next(each for each in robot.soles if each.side is Foot.RIGHT)
     omega = stance.omega
     # The right foot bears: y points to the left one.
-    (back, front), (_, inner) = foot.sole_x, foot.sole_y
-    cops_x, cops_y = (_cops(start, end) for start, end in (foot.sole_x, foot.sole_y))
+    (back, front), (_, inner) = sole.x, sole.y
+    cops_x, cops_y = (_cops(start, end) for start, end in (sole.x, sole.y))
     narrowest = 2.0 * inner + _CLEARANCE
     footholds_x = np.linspace(-_REACH_X, _REACH_X, _N_FOOTHOLDS)
     footholds_y = np.linspace(narrowest, width + _REACH_Y, _N_FOOTHOLDS)

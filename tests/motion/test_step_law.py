@@ -101,21 +101,12 @@ def test_no_foot_lands_in_a_forbidden_box(law):
 
 def test_the_tables_are_those_of_both_feet(robot):
     """The law is in the frame of either bearing foot, so a mirrored robot has the same tables."""
-    description = robot.description
-    feet = tuple(
-        dataclasses.replace(foot, sole_y=(-foot.sole_y[1], -foot.sole_y[0]))
-        for foot in description.feet
-    )
-    mirrored = dataclasses.replace(
-        robot,
-        description=dataclasses.replace(
-            description,
-            feet=(
-                dataclasses.replace(feet[1], side=description.feet[0].side),
-                dataclasses.replace(feet[0], side=description.feet[1].side),
-            ),
-        ),
-    )
+    left, right = robot.soles
+    flipped = [
+        dataclasses.replace(sole, side=side, y=(-sole.y[1], -sole.y[0]))
+        for sole, side in ((right, left.side), (left, right.side))
+    ]
+    mirrored = dataclasses.replace(robot, soles=tuple(flipped))
     stance = Stance.of(robot)
     one, two = make_step_law(robot, stance), make_step_law(mirrored, stance)
     assert one.values_y == pytest.approx(two.values_y, abs=1e-12)
