@@ -59,7 +59,7 @@ def served(check: Callable[[PageServer], Awaitable[None]]) -> None:
         return line.upper()
 
     async def run() -> None:
-        server = PageServer(ROBOT, '{"time": 0}', command)
+        server = PageServer(ROBOT, '{"time": -1}', command)
         await server.open(0)
         try:
             await asyncio.wait_for(check(server), PATIENCE_SECONDS)
