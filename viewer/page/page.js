@@ -23,7 +23,9 @@ function connect() {
   socket = new WebSocket(address);
   socket.onmessage = (message) => {
     const news = JSON.parse(message.data);
-    if ("answer" in news) say(news.answer, news.refused); else take(news);
+    if ("answer" in news) { say(news.answer, news.refused); return; }
+    socket.send("taken");  // the next one may come
+    take(news);
   };
   socket.onclose = () => {
     verdict("the viewer has ended", "bad");

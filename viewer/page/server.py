@@ -1,8 +1,8 @@
 """Serve the page, its newest state and its commands, to browsers on this machine alone.
 
 The address has a random token; a request without it gets nothing. Every browser holds a connection
-on which it gets states and sends commands. A browser that reads slowly misses states in between,
-so it slows nothing and fills no memory.
+on which it gets states and sends commands. It gets the next state when it has taken the last one,
+and then the newest. So a slow browser misses states in between, and never shows an old one.
 """
 
 from __future__ import annotations
@@ -30,11 +30,24 @@ FILES = {
     "robot.js": ("robot.js", "text/javascript; charset=utf-8"),
 }
 ROBOT, STREAM = "robot.json", "stream"
+# The line by which a browser says that it has taken a state.
+TAKEN = "taken"
 MAX_BROWSERS = 8
 # A command is a line of text.
 _MAX_COMMAND = 300
 # A browser that reads nothing for this time is given up [s].
 _PATIENCE = 20.0
+
+
+class _Slot:
+    """The place of a browser: whether there is a `new` state, and whether it has `taken` the last.
+
+    It is compared by identity.
+    """
+
+    def __init__(self) -> None:
+        self.new = asyncio.Event()
+        self.taken = asyncio.Event()
 
 
 class PageServer:
@@ -52,7 +65,7 @@ class PageServer:
         self._command = command
         self._commanding = asyncio.Lock()
         self._state = state
-        self._slots: set[asyncio.Event] = set()
+        self._slots: set[_Slot] = set()
         self._server: Server | None = None
         self._port = 0
 
@@ -92,7 +105,7 @@ class PageServer:
         """Give a new state to all browsers; it replaces a state that was not sent yet."""
         self._state = state
         for slot in self._slots:
-            slot.set()
+            slot.new.set()
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the response to a request; None begins the stream of states."""
@@ -145,6 +158,9 @@ class PageServer:
             sending = asyncio.create_task(self._send(connection, slot))
             try:
                 async for line in connection:
+                    if line == TAKEN:
+                        slot.taken.set()
+                        continue
                     answer, refused = await self._carry_out(line)
                     if answer:
                         await connection.send(json.dumps({"answer": answer, "refused": refused}))
@@ -154,21 +170,24 @@ class PageServer:
                 sending.cancel()
 
     @contextmanager
-    def _slot(self) -> Iterator[asyncio.Event]:
-        slot = asyncio.Event()
-        slot.set()
+    def _slot(self) -> Iterator[_Slot]:
+        slot = _Slot()
+        slot.new.set()
+        slot.taken.set()
         self._slots.add(slot)
         try:
             yield slot
         finally:
             self._slots.discard(slot)
 
-    async def _send(self, connection: ServerConnection, slot: asyncio.Event) -> None:
+    async def _send(self, connection: ServerConnection, slot: _Slot) -> None:
         """Send each new state. While the browser takes one, the next replaces those in between."""
         try:
             while True:
-                await slot.wait()
-                slot.clear()
+                await slot.taken.wait()
+                await slot.new.wait()
+                slot.taken.clear()
+                slot.new.clear()
                 await connection.send(self._state)
         except ConnectionClosed:
             pass
