@@ -265,7 +265,7 @@ def test_events_are_kept_for_late_browsers_and_bounded(robot: Robot) -> None:
     messages = [
         encode_event(CommandEvent(k * 1_000_000_000, cut), wall_ns=WALL_START_NS) for k in range(9)
     ]
-    assert feed.take_events([*messages, b"no event"])
+    assert feed.take_events([*messages, messages[-1], b"no event"])
     events = json.loads(feed.state)["events"]
     assert len(events) == 6
     assert events[-1] == "8.00 s: link cut"

@@ -46,14 +46,16 @@ class Feed:
         self._state: dict[str, Any] = {"verdict": self._verdict.text}
 
     def take_events(self, messages: Sequence[bytes]) -> bool:
-        """Take in events of an operator, in order. Return whether the state has changed."""
+        """Take in events of an operator, each once or again. Return whether there were any."""
         for message in messages:
             try:
                 event, _ = decode_event(message)
             except MessageRefused:
                 self.refused += 1
             else:
-                self._events.append(f"{event.time_ns * 1e-9:.2f} s: {event.command}")
+                text = f"{event.time_ns * 1e-9:.2f} s: {event.command}"
+                if text not in self._events:
+                    self._events.append(text)
         return bool(messages)
 
     @property

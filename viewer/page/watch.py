@@ -12,7 +12,13 @@ from shared.bus.operator import CommandClient
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.settings import RunConfig
 from shared.robots import load_robot
-from shared.wire.operator import EVENTS_KEY, VIEW_KEY, parse_command
+from shared.wire.operator import (
+    EVENTS_KEY,
+    VIEW_KEY,
+    CommandEvent,
+    encode_event,
+    parse_command,
+)
 from viewer.camera import focus_height
 from viewer.intake import NICENESS, BlockQueue, connect, subscribe
 from viewer.page.feed import Feed
@@ -46,7 +52,9 @@ def watch_page(
         return
     feed = Feed(robot, config, hulls["joints"])
     words = {"words": parts(config), "focus": focus_height(robot), "walks": config.task == "walk"}
-    server = PageServer(json.dumps({**hulls, **words}), feed.state, partial(_carry_out, bus))
+    server = PageServer(
+        json.dumps({**hulls, **words}), feed.state, partial(_carry_out, bus, events)
+    )
     seen = bus.publisher(VIEW_KEY)
 
     async def serve() -> None:
@@ -73,9 +81,13 @@ def watch_page(
     say(f"{blocks.dropped} blocks dropped when behind, {feed.refused} blocks refused")
 
 
-def _carry_out(bus: ZenohBus, line: str) -> str:
-    """Send a command to the stack. Return what a user should know beside its event, often nothing.
+def _carry_out(bus: ZenohBus, events: BlockQueue, line: str) -> str:
+    """Send a command to the stack. Return a note beside its event, often empty.
 
     Raise `UserError` if the command is refused.
     """
-    return CommandClient(bus).send(parse_command(line)).note
+    command = parse_command(line)
+    answer = CommandClient(bus).send(command)
+    # A busy machine may drop the event that the stack publishes.
+    events.put(encode_event(CommandEvent(answer.time_ns, command), wall_ns=0))
+    return answer.note
