@@ -24,8 +24,15 @@ COMMANDS = (
         "measure at random states how stale a factorisation may be",
         f"{_STUDIES}.corrections",
     ),
+    Subcommand("new", "make a package for a controller, task or robot", "experiments.new"),
     Subcommand("config", "print the settings of a run", "experiments.resolved"),
     Subcommand("settings", "write the tables of all settings", "experiments.settings_page"),
+)
+
+ROBOT_COMMANDS = (
+    Subcommand(
+        "check", "check a robot file, and play it", "experiments.robot_check", "robot_check"
+    ),
 )
 
 

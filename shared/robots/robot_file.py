@@ -1,24 +1,22 @@
 """Reader of robot files: TOML files with all that the project needs about a robot.
 
-A robot file is, with an example of each key:
-
-    urdf = "mine.urdf"              # a path relative to this file, or package://NAME/path.
-    srdf = "mine.srdf"              # with the posture, if that is a state.
-    packages = ["../.."]            # folders with the packages of package://NAME, also of meshes.
-    leg_radii = [0.07, 0.05]        # thigh and shank [m], for plant.leg_collision.
+    urdf = "mine.urdf"              # relative to this file, or package://NAME/path.
+    srdf = "mine.srdf"              # if the posture is a state in it.
+    packages = ["../.."]            # folders of packages, also of meshes.
+    leg_radii = [0.07, 0.05]        # thigh and shank [m].
 
     [posture]
-    state = "half_sitting"          # a group state of the SRDF; or, in its place:.
+    state = "half_sitting"          # a group state of the SRDF. Or, in its place:
     angles = { knee = 0.6 }         # joints [rad], 0 for the others.
     base = [0.0, 0.0, 0.0]          # with angles: roll, pitch, yaw of the base [rad].
 
     [feet.left]                     # and feet.right.
-    joint = "left_ankle_roll"       # or frame = "left_sole", a frame of the URDF.
+    joint = "left_ankle_roll"       # or frame = "left_sole", a link.
     translation = [0.0, 0.0, -0.05] # of the sole frame in the joint's frame [m].
-    rotation = [0.0, 0.0, 0.0]      # roll, pitch, yaw [rad]; so that x is forward and z is up.
-    sole = { x = [-0.1, 0.1], y = [-0.05, 0.05] }   # in the sole frame [m]; or "collision".
+    rotation = [0.0, 0.0, 0.0]      # roll, pitch, yaw [rad].
+    sole = { x = [-0.1, 0.1], y = [-0.05, 0.05] }   # [m], or "collision".
 
-    [settings.walk]                 # this robot's defaults for a task, as in a settings file.
+    [settings.walk]                 # this robot's defaults for a task.
     walk.step_length = 0.15
 
 `package://example-robot-data` is the installed package of that name. The robot has the file's name.

@@ -123,7 +123,7 @@ def one_tree(urdf: Urdf) -> Iterator[str]:
 
 
 def hinges(urdf: Urdf) -> Iterator[str]:
-    """Yield the joints that are no hinges with a range, and the joints that mimic another."""
+    """Yield the joints that are no hinges with a range, and the joints that mimic another one."""
     if not urdf.moving:
         yield "expected a URDF with hinges, all its joints are fixed"
     for joint in urdf.moving:

@@ -14,10 +14,11 @@ from shared.config.config_file import load_config
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError
 from shared.process.cli import Group, Parser, command_parser, config_from
+from tests.robots.biped import write_biped
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]
-SHOWN = r"\./(?:wbc|deploy)/?((?: ?(?:netem|viewer|bench))? ?[a-z][a-z-]*)"
+SHOWN = r"\./(?:wbc|deploy)/?((?: ?(?:netem|viewer|bench|robot))? ?[a-z][a-z-]*)"
 # Of deploy/, what is no command of wbc.
 SCRIPTS = {"docs", "lint", "python", "setup", "test", "compose"}
 
@@ -41,7 +42,9 @@ def shown_in_full():
 
 
 @pytest.mark.parametrize("typed", shown_in_full())
-def test_a_command_line_is_understood(parser, typed):
+def test_a_command_line_is_understood(parser, typed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_biped(tmp_path, name="mine")
     parsed = parser.parse_args(typed)
     if typed[0] in ("up", "trial") and parsed.config is None:
         config_from(parsed)

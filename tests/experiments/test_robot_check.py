@@ -1,0 +1,53 @@
+"""`wbc robot check`: a line for each check, and what to change."""
+
+from __future__ import annotations
+
+import argparse
+
+import pytest
+
+from experiments import robot_check
+from experiments.robot_check import run_robot_check
+from tests.robots.biped import write_biped
+
+
+def check(robot, **options):
+    asked = {"robot": str(robot), "no_play": False, "picture": "none"} | options
+    return run_robot_check(argparse.Namespace(**asked))
+
+
+def test_a_robot_is_checked_and_played(tmp_path, capsys, monkeypatch):
+    shorter = [
+        robot_check.Play(each.name, each.settings | {"duration": 0.4}, each.remedy)
+        for each in robot_check.PLAYS
+    ]
+    monkeypatch.setattr(robot_check, "PLAYS", shorter)
+    assert check(write_biped(tmp_path)) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line[:4] for line in lines if line.startswith(("ok", "FAIL"))] == ["ok  "] * 14
+    assert any(line.startswith("biped: 42.00 kg, 12 motors") for line in lines)
+    assert any("wbc.weights.force = " in line for line in lines)
+
+
+def test_a_robot_that_falls_is_told_what_to_change(tmp_path, capsys, monkeypatch):
+    hard = robot_check.Play("takes a hard push", {"push": ["2000N@0.1s:0.2s:+y"]}, "push less")
+    monkeypatch.setattr(robot_check, "PLAYS", [hard])
+    assert check(write_biped(tmp_path)) == 3
+    assert "expected a robot that stands, it fell: " in (said := capsys.readouterr().out)
+    assert "; push less" in said
+
+
+def test_all_faults_of_a_file_are_shown_and_nothing_is_played(tmp_path, capsys):
+    limit = 'lower="0.0" upper="2.3" effort="180"'
+    assert check(write_biped(tmp_path, urdf=(limit, 'effort="0"'))) == 2
+    said = capsys.readouterr().out
+    assert said.count("FAIL") == 2
+    assert "joint left_knee has lower 0 and upper 0; write its limits" in said
+    assert "joint left_knee has 0; write that of its motor" in said
+    assert "kg" not in said.splitlines()[-1]
+
+
+@pytest.mark.parametrize("name", ["romeo", "talos"])
+def test_a_robot_of_the_catalogue_is_checked_by_name(name, capsys):
+    assert check(name, no_play=True) == 0
+    assert capsys.readouterr().out.count("ok") == 11
