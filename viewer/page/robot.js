@@ -53,7 +53,6 @@ export class RobotCanvas {
   }
 
   readColours() {
-    const style = getComputedStyle(document.documentElement);
     const probe = document.createElement("span");
     document.body.append(probe);
     const colour = (name) => {
@@ -63,7 +62,7 @@ export class RobotCanvas {
     this.colours = Object.fromEntries(
       ["ground", "grid", "robot", "com", "push", "limit", "text"].map((name) => [name, colour(name)]));
     this.body = this.colours.robot.match(/[\d.]+/g).slice(0, 3).map(Number);
-    this.font = style.fontFamily;
+    this.font = getComputedStyle(document.body).fontFamily;
     probe.remove();
   }
 
