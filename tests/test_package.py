@@ -61,7 +61,7 @@ def test_a_wheel_has_the_data_that_the_code_reads(wheel: zipfile.ZipFile) -> Non
     data = {
         path.relative_to(ROOT).as_posix()
         for folder in PACKAGES
-        for suffix in ("toml", "npz")
+        for suffix in ("toml", "npz", "html", "css", "js")
         for path in (ROOT / folder).rglob(f"*.{suffix}")
     }
     assert len(data) > 100
