@@ -121,13 +121,17 @@ def hold_private(path: Path, *, what: str, within: float, held_by: str) -> TextI
 
 
 class LineFile:
-    """Writes each line to a file at once. If the disk is full, lines are dropped."""
+    """Writes each line to a file at once. If the disk is full, lines are dropped.
+
+    Other users cannot read a file that it makes: the viewer prints a secret address.
+    """
 
     def __init__(self, path: Path) -> None:
         self._file: RawIOBase | None = None
         with contextlib.suppress(OSError):
             # Without a buffer: a buffer that cannot be written is tried again with every line.
-            self._file = path.open("ab", buffering=0)
+            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+            self._file = os.fdopen(descriptor, "ab", buffering=0)
 
     def __enter__(self) -> LineFile:
         return self

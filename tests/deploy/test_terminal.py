@@ -23,6 +23,11 @@ def kept(tmp_path: Path):
     return lambda: (tmp_path / "log").read_text()
 
 
+def test_other_users_cannot_read_the_lines(copy, tmp_path):
+    copy.add("the secret address of a page")
+    assert (tmp_path / "log").stat().st_mode & 0o077 == 0
+
+
 def test_elsewhere_than_on_a_terminal_there_are_no_escape_codes(copy, kept, capsys):
     terminal = Terminal(copy)
     terminal.say("edge", "READY")
