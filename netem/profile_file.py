@@ -9,11 +9,7 @@ import contextlib
 import csv
 import io
 import json
-import math
 import os
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,17 +19,14 @@ import numpy as np
 from netem.profile import DIRECTIONS, LOST, MAX_DELAY_MS, PERIOD_NS, DelayProfile
 from shared.commands import wbc
 from shared.errors import ProfileError
-from shared.regular_file import open_regular, read_regular
+from shared.npz_file import read_npz
+from shared.regular_file import open_regular
 
 CSV_HEADER = ("uplink_ms", "downlink_ms")
 # Five and a half hours in periods of 1 ms.
 _MAX_PERIODS = 20_000_000
 _MAX_ARRAY_BYTES = 8 * _MAX_PERIODS + 1024
 _MAX_BYTES = 500_000_000
-_READ_HEADER = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
 
 
 def is_file(path: Path) -> bool:
@@ -76,16 +69,10 @@ def write_profile(profile: DelayProfile, path: Path) -> None:
 
 def _read_npz(path: Path, name: str) -> DelayProfile:
     try:
-        data = io.BytesIO(read_regular(path, at_most=_MAX_BYTES))
-        _check_claims(data)
-        with np.load(data) as archive:
-            arrays = {key: np.asarray(archive[key]) for key in archive.files}
+        arrays = read_npz(path, at_most=_MAX_BYTES, array_at_most=_MAX_ARRAY_BYTES)
         ways = [arrays.pop(f"{way}_us") for way in DIRECTIONS]
         metadata = json.loads(str(arrays.pop("meta"))) if "meta" in arrays else {}
-    except (
-        *(KeyError, ValueError, TypeError, AttributeError, EOFError, NotImplementedError),
-        *(RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
-    ) as error:
+    except (KeyError, ValueError, RecursionError) as error:
         raise ProfileError(
             f"profile {path}: expected arrays uplink_us and downlink_us, got: {error}"
         ) from None
@@ -111,28 +98,6 @@ def _read_npz(path: Path, name: str) -> DelayProfile:
     delays_us = delays_us.astype(np.int64)
     delays_ns = np.where(delays_us == LOST, LOST, delays_us * 1000)
     return _checked(path, name, delays_ns, metadata, arrays)
-
-
-def _check_claims(data: io.BytesIO) -> None:
-    """Check the sizes that an archive and its arrays claim, before memory is taken for them.
-
-    Raise `ValueError` if an array has more values than a profile may have, or more than its bytes.
-    """
-    with zipfile.ZipFile(data) as archive:
-        for info in archive.infolist():
-            with archive.open(info) as member:
-                version = np.lib.format.read_magic(member)
-                read = _READ_HEADER.get(version)
-                if read is None:
-                    raise ValueError(f"{info.filename}: unknown version {version} of an array")
-                shape, _, kind = read(member)
-                n_bytes = math.prod(shape) * kind.itemsize
-                if n_bytes > info.file_size or info.file_size > _MAX_ARRAY_BYTES:
-                    raise ValueError(
-                        f"{info.filename} claims {n_bytes:.4g} bytes and has {info.file_size:.4g}; "
-                        f"expected as many, and at most {_MAX_ARRAY_BYTES:.4g}"
-                    )
-    data.seek(0)
 
 
 def _write_npz(profile: DelayProfile, path: Path) -> None:

@@ -1,12 +1,13 @@
 """A MuJoCo model generated from the Pinocchio tree, so that both have the same dynamics.
 
 It has one body per joint with its full inertia, a free joint for the base, hinges and motors for
-the other joints, one box per sole, and a floor. MuJoCo does not read the URDF itself, because it
+the other joints, one box per sole, and the ground. MuJoCo does not read the URDF itself, because it
 refuses COLLADA meshes and some of the published inertias.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 from xml.etree import ElementTree as Xml
 
@@ -15,13 +16,16 @@ import pinocchio as pin
 
 from shared.config.settings import PlantConfig
 from shared.errors import ConfigError
+from shared.motion.ground import FLAT, HOLE, Ground, Patch
 from shared.robots import Foot, Robot, Sole
 
 _SOLE_THICKNESS = 0.01
+# The ground goes so far beyond its patches, and so far below the deepest hole [m].
+_BEYOND, _THICKNESS = 10.0, 0.5
 
 
-def mjcf(robot: Robot, plant: PlantConfig, *, timestep: float) -> str:
-    """MuJoCo XML of the robot on a floor; `timestep` in seconds."""
+def mjcf(robot: Robot, plant: PlantConfig, *, timestep: float, ground: Ground = FLAT) -> str:
+    """MuJoCo XML of the robot on the ground; `timestep` in seconds."""
     root = Xml.Element("mujoco", model=robot.name)
     Xml.SubElement(root, "compiler", angle="radian", balanceinertia="false")
     Xml.SubElement(
@@ -39,16 +43,12 @@ def mjcf(robot: Robot, plant: PlantConfig, *, timestep: float) -> str:
         "solref": f"{plant.contact_time_constant} {plant.contact_damping_ratio}",
     }
     # The floor meets the soles only: contype/conaffinity bits keep the soles apart.
-    Xml.SubElement(
-        world,
-        "geom",
-        name="floor",
-        type="plane",
-        size="0 0 1",
-        contype="1",
-        conaffinity="2",
-        **contact,
-    )
+    floor = {"contype": "1", "conaffinity": "2", **contact}
+    depth = "0 0 0" if ground.flat else _numbers([0.0, 0.0, HOLE])
+    Xml.SubElement(world, "geom", name="floor", type="plane", size="0 0 1", pos=depth, **floor)
+    for k, patch in enumerate([*ground.patches, *_around(ground)]):
+        if patch.z > HOLE:
+            Xml.SubElement(world, "geom", {"name": f"ground_{k}", **_block(patch), **floor})
     soles = {robot.sole_frame(sole.side).parentJoint: sole for sole in robot.soles}
     bodies: dict[int, Xml.Element] = {0: world}
     model = robot.model
@@ -91,6 +91,41 @@ def mjcf(robot: Robot, plant: PlantConfig, *, timestep: float) -> str:
     for joint in range(2, model.njoints):
         Xml.SubElement(actuators, "motor", name=model.names[joint], joint=model.names[joint])
     return Xml.tostring(root, encoding="unicode")
+
+
+def _around(ground: Ground) -> list[Patch]:
+    """Level ground on the four sides of the patches."""
+    if ground.flat:
+        return []
+    x0, x1 = min(p.x[0] for p in ground.patches), max(p.x[1] for p in ground.patches)
+    y0, y1 = min(p.y[0] for p in ground.patches), max(p.y[1] for p in ground.patches)
+    across = (y0 - _BEYOND, y1 + _BEYOND)
+    return [
+        Patch((x0 - _BEYOND, x0), across, 0.0),
+        Patch((x1, x1 + _BEYOND), across, 0.0),
+        Patch((x0, x1), (y0 - _BEYOND, y0), 0.0),
+        Patch((x0, x1), (y1, y1 + _BEYOND), 0.0),
+    ]
+
+
+def _block(patch: Patch) -> dict[str, str]:
+    """The attributes of a box whose upper side is a patch of ground."""
+    tilt = math.atan(patch.rise)
+    half = np.array(
+        [
+            (patch.x[1] - patch.x[0]) / 2 / math.cos(tilt),
+            (patch.y[1] - patch.y[0]) / 2,
+            (patch.z - HOLE + _THICKNESS) / 2,
+        ]
+    )
+    top = np.array([sum(patch.x) / 2, sum(patch.y) / 2, patch.middle])
+    down = half[2] * np.array([math.sin(tilt), 0.0, -math.cos(tilt)])
+    return {
+        "type": "box",
+        "size": _numbers(half),
+        "pos": _numbers(top + down),
+        "quat": _numbers([math.cos(tilt / 2), 0.0, -math.sin(tilt / 2), 0.0]),
+    }
 
 
 def _range(robot: Robot, plant: PlantConfig, joint: int) -> dict[str, str]:

@@ -44,6 +44,7 @@ from robot_node.tick_row import Moment, TickRow
 from shared.bus.base import Delivery, RefusalCounter, SenderCounter, new_session
 from shared.config.quantities import Push
 from shared.config.settings import RunConfig
+from shared.motion.ground import make_ground
 from shared.robots import Foot, Robot
 from shared.robots.fallen import has_fallen
 from shared.telemetry.schema import Schema, Source, tick_schema
@@ -86,6 +87,7 @@ class RobotNode:
         self.youngest_answer_ns: int | None = None
         self._config = config
         self._motion = self._whole_motion = motion
+        self._ground = make_ground(config.plant_ground, seed=config.seed)
         self._plant = self._make_plant(robot)
         period_ns = config.loop.period_ns
         self._sensors = Sensors(config.sensors, seed=config.seed, period=period_ns * 1e-9)
@@ -289,8 +291,11 @@ class RobotNode:
         given.
         """
         com, soles = self._model.com_and_soles(self._true_state[0])
+        com_height = com[2] - self._ground.height(com[0], com[1])
         self.fallen = has_fallen(
-            self._true_state[0], com_height=com[2], standing_com_height=self._standing_com_height
+            self._true_state[0],
+            com_height=com_height,
+            standing_com_height=self._standing_com_height,
         )
         push = self._push()
         if row is not None:
@@ -467,7 +472,7 @@ class RobotNode:
 
     def _make_plant(self, robot: Robot) -> Plant:
         timestep = self._config.loop.period_ns * 1e-9
-        return make_plant(robot, self._config.plant, timestep=timestep)
+        return make_plant(robot, self._config.plant, timestep=timestep, ground=self._ground)
 
 
 @dataclass

@@ -16,6 +16,7 @@ from robot_node.mjcf import mjcf
 from shared.config.extensions import PLANTS
 from shared.config.settings import PlantConfig
 from shared.extensions import Taken
+from shared.motion.ground import FLAT, Ground
 from shared.robots import Foot, Robot
 
 
@@ -29,7 +30,7 @@ class Plant(Protocol):
         """True (q, v), shapes (nq,) and (nv,), in Pinocchio's convention."""
 
     def contact_forces(self) -> dict[Foot, np.ndarray]:
-        """Forces of the floor on the soles (3,), in the world [N]."""
+        """Forces of the ground on the soles (3,), in the world [N]."""
 
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
         """Advance one timestep under joint torques (nv − 6,) [N m] and a force on the base [N],
@@ -43,20 +44,37 @@ class Plant(Protocol):
 _MEMBERS = {"set_state": Taken(2), "state": Taken(), "step": Taken(1, ("push",))}
 
 
-def make_plant(robot: Robot, config: PlantConfig, *, timestep: float) -> Plant:
+def make_plant(
+    robot: Robot, config: PlantConfig, *, timestep: float, ground: Ground = FLAT
+) -> Plant:
     """Make the plant that `config.kind` names; `timestep` [s].
 
-    Raise `ConfigError` if it cannot be imported or lacks a member.
+    A plant is told of its ground if that is not flat. Raise `ConfigError` if it cannot be imported,
+    lacks a member, or knows flat ground only.
     """
-    plant: Plant = PLANTS.make(config.kind, robot, config, members=_MEMBERS, timestep=timestep)
+    terrain = {} if ground.flat else {"ground": ground}
+    plant: Plant = PLANTS.make(
+        config.kind, robot, config, members=_MEMBERS, timestep=timestep, **terrain
+    )
     return plant
 
 
 class MujocoPlant:
-    """MuJoCo simulation of one robot on a floor; states go in and out in Pinocchio's convention."""
+    """MuJoCo simulation of one robot on the ground.
 
-    def __init__(self, robot: Robot, config: PlantConfig, *, timestep: float = 1e-3) -> None:
-        self.model = mujoco.MjModel.from_xml_string(mjcf(robot, config, timestep=timestep))
+    States go in and out in Pinocchio's convention.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        config: PlantConfig,
+        *,
+        timestep: float = 1e-3,
+        ground: Ground = FLAT,
+    ) -> None:
+        xml = mjcf(robot, config, timestep=timestep, ground=ground)
+        self.model = mujoco.MjModel.from_xml_string(xml)
         # A diverging simulation must be seen as a fall, not silently put back to its start.
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         mujoco.set_mju_user_warning(_ignore_warning)
@@ -66,7 +84,8 @@ class MujocoPlant:
         self._fastest = robot.velocity_limit if config.velocity_limits else None
         self._force_on_base = self.data.xfrc_applied[self.model.body(robot.model.names[1]).id, :3]
         self._soles = {self.model.geom(f"{foot.value}_sole").id: foot for foot in Foot}
-        self._floor = self.model.geom("floor").id
+        names = [self.model.geom(k).name for k in range(self.model.ngeom)]
+        self._ground = {k for k, name in enumerate(names) if name.startswith(("floor", "ground_"))}
         self.set_state(robot.q_standing, np.zeros(robot.model.nv))
 
     def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
@@ -80,12 +99,12 @@ class MujocoPlant:
         return from_mujoco(self._qpos, self._qvel)
 
     def contact_forces(self) -> dict[Foot, np.ndarray]:
-        """Forces of the floor on the soles, as in `Plant`: those of the last step."""
+        """Forces of the ground on the soles, as in `Plant`: those of the last step."""
         forces = {foot: np.zeros(3) for foot in Foot}
         wrench = np.zeros(6)
         for k, contact in enumerate(self.data.contact):
             foot = self._soles.get(contact.geom2)
-            if contact.geom1 != self._floor or foot is None:
+            if contact.geom1 not in self._ground or foot is None:
                 continue
             mujoco.mj_contactForce(self.model, self.data, k, wrench)
             # From the first body on the second, in the contact's frame, whose axes are rows.

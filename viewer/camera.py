@@ -54,7 +54,8 @@ def focus_height(robot: Robot) -> float:
 
 def _half_way(config: RunConfig) -> float:
     """Return the distance to the middle of a walk, or of the beginning of a long one [m]."""
-    if config.task != "walk":
+    if not config.walks:
         return 0.0
-    half = config.walk.steps * config.walk.step_length / 2
+    walk = config.walk
+    half = (walk.place.x if config.task == "go" else walk.steps * walk.step_length) / 2
     return max(-_LOOK_AHEAD, min(half, _LOOK_AHEAD))

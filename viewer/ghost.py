@@ -42,6 +42,7 @@ class Ghost:
         self._soles = {foot: _placed(each) for foot, each in standing_footprints(robot).items()}
         self._q = robot.q_standing.copy()
         self._met: Reference | None = None
+        self._heights: dict[Foot, float] = {}
 
     def stop(self, time_ns: int) -> None:
         """End the walk early from `time_ns` on, as the robot's commands say."""
@@ -63,10 +64,12 @@ class Ghost:
 
     def _place_soles(self, reference: Reference, time_ns: int) -> None:
         if isinstance(self._motion, Walking):
-            self._soles = {each.foot: _placed(each) for each in _stance(self._motion, time_ns)}
-        # A walk that ends early has its feet where the last steps left them.
-        for sole in self._soles.values():
-            sole.translation[2] = 0.0
+            stance = _stance(self._motion, time_ns)
+            self._soles = {each.foot: _placed(each) for each in stance}
+            self._heights = {each.foot: each.z for each in stance}
+        # A walk that ends early has its feet where the last steps left them, on their footprints.
+        for foot, sole in self._soles.items():
+            sole.translation[2] = self._heights.get(foot, 0.0)
         swing = reference.swing
         if swing is not None:
             (foot,) = (foot for foot in Foot if foot not in reference.mode.feet)
@@ -103,4 +106,6 @@ def _stance(walk: Walking, time_ns: int) -> tuple[Footprint, Footprint]:
 
 
 def _placed(footprint: Footprint) -> pin.SE3:
-    return pin.SE3(pin.utils.rotate("z", footprint.yaw), np.array([footprint.x, footprint.y, 0.0]))
+    return pin.SE3(
+        pin.utils.rotate("z", footprint.yaw), np.array([footprint.x, footprint.y, footprint.z])
+    )

@@ -5,12 +5,14 @@ It is logged once, without a time. Servers and files keep it for the whole run.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
 
 from shared.motion.footprint import Footprint
+from shared.motion.ground import HOLE, Ground
 from shared.motion.swing import swing
 from shared.motion.walking import Walking
 from shared.robots import Foot, Robot
@@ -38,6 +40,10 @@ _FOOT_COLOURS: dict[Foot, Colour] = {Foot.LEFT: LEFT_FOOT, Foot.RIGHT: RIGHT_FOO
 # Above the ground, which has a grid at zero, and below all moving parts [m].
 _PRINT_HEIGHT = 0.001
 _SWING_POINTS = 20
+_GROUND_COLOUR: Colour = (70, 74, 82)
+_FORBIDDEN_COLOUR: Colour = (110, 55, 55)
+_EDGE_COLOUR: Colour = (130, 136, 148)
+_GROUND_DEPTH = 0.02
 
 
 def log_styles(recorder: Recorder) -> None:
@@ -119,7 +125,9 @@ def log_footsteps(recorder: Recorder, robot: Robot, motion: Motion, *, swing_hei
     )
     ways = [
         [
-            swing(step.start, step.goal, time=u, duration=1.0, height=swing_height).position
+            swing(
+                step.start, step.goal, time=u, duration=1.0, height=swing_height + step.obstacle
+            ).position
             for u in np.linspace(0.0, 1.0, _SWING_POINTS)
         ]
         for step in motion.steps
@@ -133,7 +141,37 @@ def log_footsteps(recorder: Recorder, robot: Robot, motion: Motion, *, swing_hei
 
 
 def _outline(footprint: Footprint, corners: np.ndarray) -> np.ndarray:
-    return np.array([[*footprint.to_world((x, y)), _PRINT_HEIGHT] for x, y in corners])
+    height = footprint.z + _PRINT_HEIGHT
+    return np.array([[*footprint.to_world((x, y)), height] for x, y in corners])
+
+
+def log_ground(recorder: Recorder, ground: Ground) -> None:
+    """Log the patches of a ground as boxes that reach down to the lowest one."""
+    patches = [patch for patch in ground.patches if patch.z > HOLE]
+    if not patches:
+        return
+    bottom = min(0.0, *(min(patch.z, patch.middle) for patch in patches)) - _GROUND_DEPTH
+    centres, halves, turns = [], [], []
+    for patch in patches:
+        tilt = math.atan(patch.rise)
+        half = (patch.middle - bottom) / 2
+        down = half * np.array([math.sin(tilt), 0.0, -math.cos(tilt)])
+        centres.append(np.array([sum(patch.x) / 2, sum(patch.y) / 2, patch.middle]) + down)
+        length = (patch.x[1] - patch.x[0]) / math.cos(tilt)
+        halves.append([length / 2, (patch.y[1] - patch.y[0]) / 2, half])
+        turns.append([0.0, -math.sin(tilt / 2), 0.0, math.cos(tilt / 2)])
+    boxes = rr.Boxes3D(
+        centers=centres,
+        half_sizes=halves,
+        quaternions=turns,
+        colors=[_GROUND_COLOUR if each.allowed else _FORBIDDEN_COLOUR for each in patches],
+        fill_mode="solid",
+    )
+    recorder.recording.log(recorder.track.world("ground"), boxes, static=True)
+    edges = rr.Boxes3D(
+        centers=centres, half_sizes=halves, quaternions=turns, colors=[_EDGE_COLOUR], radii=[0.001]
+    )
+    recorder.recording.log(recorder.track.world("ground_edges"), edges, static=True)
 
 
 def _log_lines(

@@ -12,6 +12,7 @@ import numpy as np
 import rerun as rr
 
 from shared.config.settings import RunConfig
+from shared.motion.ground import make_ground
 from shared.motion.plan import make_motion
 from shared.motion.plan_frame import PlanFrame
 from shared.robots import Robot
@@ -23,7 +24,7 @@ from viewer.ghost import Ghost
 from viewer.meshes import LinkMesh
 from viewer.pose import Frame, Placements, PoseModel, on_the_ground
 from viewer.recorder import Recorder
-from viewer.static import log_footsteps, log_robot, log_styles
+from viewer.static import log_footsteps, log_ground, log_robot, log_styles
 from viewer.task_time import Instants
 
 # Scales of arrows: a contact point carries tens to hundreds of newtons, a push is about 100 N.
@@ -63,6 +64,7 @@ class World:
         if self._ghost is not None:
             log_robot(recorder, meshes, of_ghost, ghost=True)
             log_footsteps(recorder, robot, motion, swing_height=config.walk.swing_height)
+        log_ground(recorder, make_ground(config.plant_ground, seed=config.seed))
 
     def log(self, schema: Schema, rows: np.ndarray, instants: Instants) -> None:
         """Draw each of these rows of the robot."""

@@ -104,7 +104,7 @@ def status_of(config: RunConfig, *, stays: bool = False) -> Status:
     """Return the status line for a run; one that `stays` has no end."""
     model = load_robot(config.robot.name).model
     ticks = tick_schema(nq=model.nq, nv=model.nv)
-    return Status(ticks, duration=config.duration, walks=config.task == "walk", stays=stays)
+    return Status(ticks, duration=config.duration, walks=config.walks, stays=stays)
 
 
 @contextlib.contextmanager

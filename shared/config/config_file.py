@@ -6,9 +6,10 @@ An unknown key or a value of the wrong type is a `ConfigError` that names the va
 from __future__ import annotations
 
 import dataclasses
+import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,20 +38,49 @@ def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None
         _set_dotted(table, key, value)
     _locate_extensions(table, Path.cwd())
     config = _build(RunConfig, _merged(_defaults(table), table), where="")
-    if config.task == "walk" and "duration" not in table:
-        config = dataclasses.replace(config, duration=config.walk.duration)
+    if config.walks and "duration" not in table:
+        config = dataclasses.replace(config, duration=_walk_duration(config))
     return config
+
+
+def _walk_duration(config: RunConfig) -> float:
+    """Duration of a walk [s]. One to a goal has time for half as many steps again."""
+    walk = config.walk
+    if config.task == "walk":
+        return walk.duration
+    goal = walk.place
+    way = math.hypot(goal.x, goal.y) / max(abs(walk.step_length), _SHORTEST_STEP)
+    way += abs(goal.y) / _SIDEWAYS_OF_A_STEP + abs(goal.yaw) / _TURN_OF_A_STEP
+    steps = 6 + math.ceil(1.5 * way)
+    return dataclasses.replace(walk, steps=steps).duration
+
+
+# What a walk to a goal moves forward, sideways and turns in a step, on the average [m, m, rad].
+_SHORTEST_STEP, _SIDEWAYS_OF_A_STEP, _TURN_OF_A_STEP = 0.05, 0.1, 0.15
 
 
 def _locate_extensions(table: dict[str, Any], folder: Path) -> None:
     """Give references to files in `folder` their whole path, in place."""
-    for key, names in TABLES.items():
+    for key, absolute in _LOCATED.items():
         *sections, name = key.split(".")
         within: Any = table
         for section in sections:
             within = within.get(section) if isinstance(within, dict) else None
         if isinstance(within, dict) and isinstance(within.get(name), str):
-            within[name] = names.absolute(within[name], folder)
+            within[name] = absolute(within[name], folder)
+
+
+def _absolute_ground(value: str, folder: Path) -> str:
+    """Return the description of a ground, with the whole path of a file."""
+    return str((folder / value).resolve()) if value.endswith(".npz") else value
+
+
+# The settings that may name a file, each with the function that gives it its whole path.
+_LOCATED: dict[str, Callable[[str, Path], str]] = {
+    **{key: names.absolute for key, names in TABLES.items()},
+    "ground": _absolute_ground,
+    "plant.unknown_ground": _absolute_ground,
+}
 
 
 def _defaults(table: dict[str, Any]) -> dict[str, Any]:
@@ -62,24 +92,6 @@ def _defaults(table: dict[str, Any]) -> dict[str, Any]:
     return _merged(_PRESETS.get(task, {}), description_of(name).settings.get(task, {}))
 
 
-# The defaults that a task changes; the robot, a file and flags come on top.
-_PRESETS: dict[str, dict[str, Any]] = {
-    "walk": {
-        "push": [],
-        "sensors": {"joint_position_noise": 1e-3},
-        "wbc": {
-            "gains": {
-                "com": 20.0,
-                "base_orientation": 60.0,
-                "contact_damping": 30.0,
-            },
-            "weights": {"base_orientation": 1.0},
-        },
-        "wire": {"projector_dtype": "float32"},
-    }
-}
-
-
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(below)
     for key, value in above.items():
@@ -87,6 +99,28 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
         both = isinstance(value, dict) and isinstance(under, dict)
         merged[key] = _merged(below[key], value) if both else value
     return merged
+
+
+# The defaults that a task changes; the robot, a file and flags come on top.
+_WALK: dict[str, Any] = {
+    "push": [],
+    "sensors": {"joint_position_noise": 1e-3},
+    "wbc": {
+        "gains": {
+            "com": 20.0,
+            "base_orientation": 60.0,
+            "contact_damping": 30.0,
+        },
+        "weights": {"base_orientation": 1.0},
+    },
+    "wire": {"projector_dtype": "float32"},
+}
+# A lower CoM lets the legs reach further and climb. The posture of standing must give way to it.
+_GO: dict[str, Any] = {
+    "wbc": {"weights": {"com": 10.0}},
+    "walk": {"step_length": 0.35, "swing_height": 0.07, "com_lowering": 0.03},
+}
+_PRESETS: dict[str, dict[str, Any]] = {"walk": _WALK, "go": _merged(_WALK, _GO)}
 
 
 def dump_config(config: RunConfig, *, versions: dict[str, str]) -> str:

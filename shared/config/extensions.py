@@ -21,7 +21,11 @@ CONTROLLERS = Extensions(
 TASKS = Extensions(
     "task",
     "remote_wbc.tasks",
-    {"balance": "shared.motion.plan:standing", "walk": "shared.motion.plan:walking"},
+    {
+        "balance": "shared.motion.plan:standing",
+        "walk": "shared.motion.plan:walking",
+        "go": "shared.motion.plan:going",
+    },
     "docs/own-controller.md",
 )
 PLANTS = Extensions(

@@ -114,3 +114,94 @@ def parse_angle(text: str) -> float:
     if match is None:
         raise ConfigError(f"expected an angle as in 15deg or 0.26rad, got {text!r}")
     return math.radians(float(match[1])) if match[2] == "deg" else float(match[1])
+
+
+_UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, None: 1.0}
+_LENGTH = re.compile(r"([+-]?[0-9]*\.?[0-9]+)(mm|cm|m)?")
+
+
+def parse_length(text: str) -> float:
+    """`6cm`, `-20mm`, `1.5m` or `1.5` → metres."""
+    match = _LENGTH.fullmatch(text.strip())
+    if match is None:
+        raise ConfigError(f"expected a length as in 6cm, 1.5m or 1.5, got {text!r}")
+    # To the micrometre: 6 × 0.01 is not 0.06.
+    return round(float(match[1]) * _UNITS_M[match[2]], 6)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A place to stand: the middle between the feet (x, y) [m], and the heading [rad]."""
+
+    x: float
+    y: float
+    yaw: float
+
+
+# A walk of more metres than this has more steps than a plan may have.
+_FARTHEST = 50.0
+
+
+def parse_goal(text: str) -> Goal:
+    """`2,0.5,90deg` → 2 m forward, 0.5 m to the left, turned by 90° to the left.
+
+    `2` and `2,0.5` leave out a zero.
+    """
+    parts = text.split(",")
+    try:
+        if len(parts) > 3:
+            raise ConfigError("too many")
+        x, y = (parse_length(part) for part in (*parts[:2], "0")[:2])
+        yaw = parse_angle(parts[2]) if len(parts) == 3 else 0.0
+        if not (math.hypot(x, y) <= _FARTHEST and abs(yaw) <= math.tau):
+            raise ConfigError("too far")
+    except ConfigError:
+        raise ConfigError(
+            "goal: expected X,Y,HEADING as in 2,0.5,90deg, at most "
+            f"{_FARTHEST:g} m away and one turn, got {text!r}"
+        ) from None
+    return Goal(x, y, yaw)
+
+
+@dataclass(frozen=True)
+class GroundSpec:
+    """The description of a ground: its `kind`, and the kind's numbers in SI units or its `file`."""
+
+    kind: str
+    count: int = 0
+    size: float = 0.0
+    file: str = ""
+
+
+# The largest number of each kind: heights and widths [m], a slope [rad].
+_MAX_SIZE = {"blocks": 0.1, "stairs": 0.2, "gap": 0.5, "slope": math.radians(20.0)}
+_MAX_STAIRS = 20
+
+
+def parse_ground(text: str) -> GroundSpec:
+    """`flat`, `blocks:2cm`, `stairs:3x6cm`, `gap:10cm`, `slope:8deg` or `FILE.npz`."""
+    if text == "flat":
+        return GroundSpec("flat")
+    if text.endswith(".npz"):
+        return GroundSpec("file", file=text)
+    kind, _, numbers = text.partition(":")
+    try:
+        count, by, length = numbers.rpartition("x")
+        stairs = int(count) if kind == "stairs" else 0
+        size = parse_angle(length) if kind == "slope" else parse_length(length)
+        if kind not in _MAX_SIZE or (by != "") is not (kind == "stairs") or stairs > _MAX_STAIRS:
+            raise ValueError
+        if not 0.0 < abs(size) <= _MAX_SIZE[kind] + 1e-9 or (kind == "stairs" and stairs < 1):
+            raise ValueError
+        if size < 0.0 and kind in ("blocks", "gap"):
+            raise ValueError
+    except (ValueError, ConfigError):
+        bounds = (
+            f"blocks to {_MAX_SIZE['blocks']:g} m, {_MAX_STAIRS} stairs of {_MAX_SIZE['stairs']:g} "
+            f"m, a gap of {_MAX_SIZE['gap']:g} m, 20°"
+        )
+        raise ConfigError(
+            "ground: expected flat, blocks:2cm, stairs:3x6cm, gap:10cm, slope:8deg or FILE.npz "
+            f"(at most {bounds}), got {text!r}"
+        ) from None
+    return GroundSpec(kind, stairs, size)

@@ -2,8 +2,8 @@
 
 A setting is described in one place, its field: see `setting`. Settings that depend on the robot
 have Romeo's values here; another robot's are in its robot file. A value out of range is a
-`ConfigError` that gives the range. Both ends of a link must agree on `task`, `robot`, `wbc`, `walk`
-and `stepping`; their digest travels in every message.
+`ConfigError` that gives the range. Both ends of a link must agree on `task`, `ground`, `robot`,
+`wbc`, `walk` and `stepping`; their digest travels in every message.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ from operator import attrgetter
 
 from shared.config.extensions import CONTROLLERS, PLANTS, TABLES, TASKS
 from shared.config.quantities import (
+    Goal,
     Outage,
     Push,
     parse_angle,
     parse_duration_ns,
+    parse_goal,
+    parse_ground,
     parse_outage,
     parse_push,
 )
@@ -27,6 +30,7 @@ from shared.errors import ConfigError
 from shared.extensions import Names
 from shared.robots.catalogue import ROBOTS
 
+WALKS = ("walk", "go")
 CORRECTION_LEVELS = ("b", "b_adjoint", "c")
 
 _PUSH = "100N@1.0s:0.2s:+y"
@@ -133,7 +137,8 @@ class RobotConfig:
 class PlantConfig:
     """The simulated plant: `mujoco`, or `rigid` with both soles welded to the floor, for balance.
 
-    The other settings are for MuJoCo's contacts.
+    The other settings are for MuJoCo. The plant's ground is the planned one, unless there is an
+    `unknown_ground`.
     """
 
     kind: str = setting("mujoco", help="kind of plant", choices=PLANTS, flag="--plant")
@@ -147,6 +152,12 @@ class PlantConfig:
         False, help="a motor at the URDF's velocity limit drives its joint no faster"
     )
     leg_collision: bool = setting(False, help="a leg stops at the other one")
+    unknown_ground: str = setting(
+        "",
+        help="the plant's ground in place of the planned one, in the same forms",
+        flag="--unknown-ground",
+        metavar="blocks:2cm",
+    )
 
 
 @dataclass(frozen=True)
@@ -285,10 +296,13 @@ class WireConfig:
 
 @dataclass(frozen=True)
 class WalkConfig:
-    """A walk of equal steps. The last step brings the feet together.
+    """A walk of equal steps, or to a goal. The last step brings the feet together.
 
-    A step takes `step_duration`. In it the robot stands on both feet for `double_support`, which is
-    5 ms in the paper. `dcm` plans the CoM in closed form, `mpc` by model predictive control.
+    The task `walk` takes `steps` equal steps. The task `go` finds steps to `goal` over the ground
+    that it knows. Their length forward is at most `step_length`. The heading of the goal may be
+    left out. A step takes `step_duration`. In it the robot stands on both feet for
+    `double_support`, which is 5 ms in the paper. `dcm` plans the CoM in closed form, `mpc` by model
+    predictive control.
     """
 
     steps: int = setting(6, help="number of steps", at_least=1, at_most=1000, flag="--steps")
@@ -331,11 +345,30 @@ class WalkConfig:
     com_plan: str = setting(
         "dcm", help="planner of the CoM", choices=("dcm", "mpc"), flag="--com-plan"
     )
+    com_lowering: float = setting(
+        0.0,
+        help="height of the CoM below that of standing: longer steps and higher stairs",
+        unit="m",
+        at_least=0.0,
+        at_most=0.3,
+        flag="--com-lowering",
+    )
+    goal: str = setting(
+        "1,0,0deg",
+        help="place and heading to go to, with --task go",
+        flag="--goal",
+        metavar="2,0.5,90deg",
+    )
 
     @property
     def duration(self) -> float:
         """The duration from standing to standing [s]."""
         return self.begin_duration + self.steps * self.step_duration + self.end_duration
+
+    @cached_property
+    def place(self) -> Goal:
+        """The place that `goal` describes."""
+        return parse_goal(self.goal)
 
 
 @dataclass(frozen=True)
@@ -501,7 +534,17 @@ class RunConfig:
         short="--for",
     )
     seed: int = setting(
-        0, help="seed of noise, loss and the profile's starting point", at_least=0, flag="--seed"
+        0,
+        help="seed of noise, loss, the profile's starting point and blocks",
+        at_least=0,
+        flag="--seed",
+    )
+    ground: str = setting(
+        "flat",
+        help="the ground, which plan and plant know: flat, blocks:2cm, stairs:3x6cm, gap:10cm, "
+        "slope:8deg or FILE.npz",
+        flag="--ground",
+        metavar="stairs:3x6cm",
     )
     push: tuple[str, ...] = setting(
         (_PUSH,),
@@ -539,20 +582,42 @@ class RunConfig:
                 "loop.fresh_within_ns: expected a deadline inside the period, "
                 f"0 < d* < {self.loop.period_ns}, got {self.loop.fresh_within_ns}"
             )
-        if self.task == "walk" and self.wire.projector_dtype == "float64":
+        if self.walks and self.wire.projector_dtype == "float64":
             raise ConfigError(
                 "wire.projector_dtype: expected float32 for a walk, where one message of at most "
                 "40 kB has the projectors of several contact modes, got 'float64'"
             )
-        if self.task == "walk" and self.plant.kind == "rigid":
+        if self.walks and self.plant.kind == "rigid":
             raise ConfigError(
                 "plant.kind: expected mujoco for a walk, because the feet of a rigid plant are "
                 "welded to the floor, got 'rigid'"
             )
+        if self.task == "walk" and parse_ground(self.ground).kind != "flat":
+            raise ConfigError(
+                "ground: expected flat for the equal steps of a walk, which look at no ground, got "
+                f"{self.ground!r}; try --task go, or --unknown-ground"
+            )
+        if {parse_ground(self.ground).kind, parse_ground(self.plant_ground).kind} != {"flat"} and (
+            self.plant.kind == "rigid"
+        ):
+            raise ConfigError(
+                "plant.kind: expected mujoco on a ground that is not flat, because the rigid plant "
+                "has no other ground, got 'rigid'"
+            )
         if self.stepping.mode != "off":
             self._check_stepping()
         # Parsed here, so that a malformed text is refused at once.
-        _ = self.pushes, self.link.outages, self.link.start_ns
+        _ = self.pushes, self.link.outages, self.link.start_ns, self.walk.place
+
+    @property
+    def walks(self) -> bool:
+        """Return whether the task is a walk: equal steps, or to a goal."""
+        return self.task in WALKS
+
+    @property
+    def plant_ground(self) -> str:
+        """The description of the plant's ground."""
+        return self.plant.unknown_ground or self.ground
 
     def _check_stepping(self) -> None:
         if self.wbc.balance.law != "dcm":
@@ -578,13 +643,13 @@ class RunConfig:
     @property
     def digest(self) -> bytes:
         """The digest of the settings on which both ends must agree, eight bytes."""
-        # A task of one's own may lie elsewhere on the other machine. The motion has its own digest.
-        task = self.task.rpartition(":")[2]
+        # A file may lie elsewhere on the other machine. The motion has its own digest.
+        task, ground = self.task.rpartition(":")[2], self.ground.rpartition("/")[2]
         robot = self.robot
         if robot.name not in ROBOTS.own:  # so may the file of a robot, which counts by its content
             robot = replace(robot, name=f"{robot.label} {ROBOTS.identity(robot.name)}")
         steps = () if self.stepping.mode == "off" else (self.stepping,)
-        agreed = repr((task, robot, self.wbc, self.walk, *steps))
+        agreed = repr((task, ground, robot, self.wbc, self.walk, *steps))
         return hashlib.sha256(agreed.encode()).digest()[:8]
 
 

@@ -71,14 +71,14 @@ def plan_footsteps(robot: Robot, config: WalkConfig) -> tuple[Step, ...]:
         goal = Footprint(swing, x - math.sin(yaw) * offset, y + math.cos(yaw) * offset, yaw)
         support_foot = Foot.RIGHT if swing is Foot.LEFT else Foot.LEFT
         step = Step(support=feet[support_foot], start=feet[swing], goal=goal)
-        _check(robot, step, number=k + 1)
+        _check(robot, step, number=k + 1, lowering=config.com_lowering)
         steps.append(step)
         feet[swing] = goal
         swing = support_foot
     return tuple(steps)
 
 
-def _check(robot: Robot, step: Step, *, number: int) -> None:
+def _check(robot: Robot, step: Step, *, number: int, lowering: float) -> None:
     """Check that a step stays within the leg's reach, does not cross the feet and does not turn too
     far.
     """
@@ -94,14 +94,14 @@ def _check(robot: Robot, step: Step, *, number: int) -> None:
             f"walk: step {number} turns the foot by {math.degrees(turn):.0f}° against the other; "
             f"at most {math.degrees(MAX_TURN):.0f}° can be walked: use a smaller step_turn"
         )
-    narrowest = _narrowest(robot, turn=turn) + SOLE_CLEARANCE
-    if lateral < narrowest:
+    least = narrowest(robot, turn=turn) + SOLE_CLEARANCE
+    if lateral < least:
         raise ConfigError(
             f"walk: step {number} puts the {goal.foot.value} foot {lateral:.3f} m to its side of "
-            f"the other; less than {narrowest:.3f} m and the feet would cross or touch: use a "
+            f"the other; less than {least:.3f} m and the feet would cross or touch: use a "
             "larger step_width or a smaller step_sideways"
         )
-    reach = leg_reach(robot)
+    reach = leg_reach(robot, raised=-lowering)
     # Hips sit above the stance's middle: half the step is each leg's share while both are down.
     stance = standing_footprints(robot)
     natural = stance[Foot.LEFT].y - stance[Foot.RIGHT].y
@@ -113,7 +113,7 @@ def _check(robot: Robot, step: Step, *, number: int) -> None:
         )
 
 
-def _narrowest(robot: Robot, *, turn: float) -> float:
+def narrowest(robot: Robot, *, turn: float) -> float:
     """Least distance of the sole origins side by side at which turned soles stay apart [m]."""
     soles = {sole.side: sole for sole in robot.soles}
     left_inner, right_inner = -soles[Foot.LEFT].y[0], soles[Foot.RIGHT].y[1]

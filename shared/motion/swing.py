@@ -16,7 +16,7 @@ from shared.motion.footprint import Footprint
 from shared.wbc.reference import SwingState
 
 # Part of a swing in which the height changes from one footprint's to the other's.
-_CLIMB = 0.4
+_CLIMB = 0.35
 
 
 def quintic(u: float) -> tuple[float, float, float]:

@@ -55,7 +55,7 @@ class Walking:
         self._config = config
         standing = Standing(robot).reference(0)
         self._standing = standing
-        self._com_height = float(standing.com[2])
+        self._com_height = float(standing.com[2]) - config.com_lowering
         self._zmp_in_sole = {sole.side: (sum(sole.x) / 2, 0.0) for sole in robot.soles}
         self._base_in_standing = standing.world_from_base
         self.phases = _phases(config, self.steps)
@@ -167,7 +167,8 @@ class Walking:
                 add(begin, end, (step.support, goal), self._zmp(goal), velocity, goal.z)
             else:
                 centre = (self._zmp(step.support) + self._zmp(step.goal)) / 2
-                between = (step.support.z + step.goal.z) / 2
+                # At last the CoM is as high as in standing.
+                between = (step.support.z + step.goal.z) / 2 + self._config.com_lowering
                 for span in ((begin, begin + _SETTLE), (begin + _SETTLE, end)):
                     add(*span, (step.support, step.goal), centre, still, between)
         return phases
@@ -182,7 +183,8 @@ class Walking:
             ZmpSegment(phase.begin, phase.finish, begin, end)
             for phase, begin, end in zip(phases, [ends[0], *ends], ends, strict=False)
         ]
-        return dcm_plan(segments, omega=omega, position=np.append(start, 0.0))
+        position = np.append(start, self._config.com_lowering)
+        return dcm_plan(segments, omega=omega, position=position)
 
     def _zmp(self, print_: Footprint) -> np.ndarray:
         return print_.to_world(self._zmp_in_sole[print_.foot])

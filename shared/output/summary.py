@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from shared.config.extensions import CONTROLLERS, TASKS, corrects
-from shared.config.settings import RunConfig
+from shared.config.settings import WALKS, RunConfig
 from shared.output.fall import fall_in_words
 from shared.output.link_met import DIRECTIONS, LEAST_NS, LinkMet
 from shared.output.no_start import why_not_begun
@@ -188,7 +188,7 @@ def _commands(summary: Mapping[str, Any]) -> list[str]:
             f"  active set differs from the optimum's in {_number(discrepancy['mean'], 'rows')} on "
             f"average, at most {_number(discrepancy['max'], 'rows', digits=0)}"
         )
-    if summary["task"] == "walk":
+    if summary["task"] in WALKS:
         # A controller that corrects needs no fresh projector at a contact switch.
         waited = (
             ""

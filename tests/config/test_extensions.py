@@ -134,7 +134,7 @@ def test_help_lists_what_packages_announce(announced, monkeypatch, capsys):
     add_run_arguments(parser)
     with pytest.raises(SystemExit):
         parser.parse_args(["--help"])
-    assert "balance, walk, dance" in " ".join(capsys.readouterr().out.split())
+    assert "balance, walk, go, dance" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_file_on_the_command_line_is_of_the_current_folder(file, monkeypatch, tmp_path):
