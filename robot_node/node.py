@@ -111,11 +111,7 @@ class RobotNode:
         self._retired: list[OnBoard] = []
         self._on_board_qps = 0
         self._pushes = config.pushes
-        self.clock: ContactClock | None = None
-        self.plans: PlanCache | None = None
-        if config.stepping.mode != "off":
-            self.clock = ContactClock(robot, config)
-            self.plans = PlanCache(self._codec, robot, self.clock, session=self._session)
+        self.clock, self.plans = self._steps_of(self._session)
         self._torque_rate_limiter = TorqueRateLimiter(self._guard)
         self._last_rung = Source.HELD
         self._hold = JointHold(robot, timestep=config.loop.period_ns * 1e-9)
@@ -162,7 +158,8 @@ class RobotNode:
             switching = self._switching
             config = self._config if switching is None else switching.config
             session = (self._session + 1) % 2**32
-            return partial(self._reset, session, config, self._another_controller(config, session))
+            made = self._another_controller(config, session)
+            return partial(self._reset, session, config, made, *self._steps_of(session))
         return _nothing
 
     def close(self) -> None:
@@ -416,13 +413,23 @@ class RobotNode:
             self._retired.append(self._switching.controller.on_board)
         self._switching = None
 
-    def _reset(self, session: int, config: RunConfig, controller: Controller) -> None:
+    def _reset(
+        self,
+        session: int,
+        config: RunConfig,
+        controller: Controller,
+        clock: ContactClock | None,
+        plans: PlanCache | None,
+    ) -> None:
         """Put the robot at the beginning of its task, as another start of it for the edge."""
         robot, period_ns = self._model.robot, config.loop.period_ns
         _continued(controller.cache, self.cache)
         self._abandon_switch()
         self._replace_controller(config, controller)
         self._session = session
+        if self.plans is not None and plans is not None:
+            plans.refused.update(self.plans.refused)
+        self.clock, self.plans = clock, plans
         self._plant.set_state(robot.q_standing, np.zeros(robot.model.nv))
         faults = self.sensor_guard.faults
         self.sensor_guard = SensorGuard(robot, config.sensors, period_ns=period_ns)
@@ -434,6 +441,13 @@ class RobotNode:
         self._plan = PlanAnchor(self._model, skipped_ns=-self.time_ns)
         self._pushes = tuple(each for each in self._pushes if each.start_ns > self.time_ns)
         self._stopping = self._lands = self.fallen = False
+
+    def _steps_of(self, session: int) -> tuple[ContactClock | None, PlanCache | None]:
+        """Make the contact clock and the plans of one start of the robot, if it steps by touch."""
+        if self._config.stepping.mode == "off":
+            return None, None
+        clock = ContactClock(self._model.robot, self._config)
+        return clock, PlanCache(self._codec, self._model.robot, clock, session=session)
 
     def _another_controller(self, config: RunConfig, session: int) -> Controller:
         """Make a controller with separate workspaces, so that the tick may go on meanwhile."""

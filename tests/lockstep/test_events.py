@@ -15,6 +15,7 @@ from shared.config.config_file import load_config
 from shared.errors import ConfigError, ProfileError
 from shared.telemetry.schema import LINK_SCHEMA, Source
 from shared.wire.operator import parse_event, read_events
+from tests.lockstep.test_stepping import WALK
 
 MS = 1_000_000
 SCENE = (
@@ -103,3 +104,16 @@ def test_commands_that_nothing_can_carry_out_are_refused_before_the_run() -> Non
         played("1s link cut", **{"link.network": "direct"})
     with pytest.raises(ProfileError, match="no such profile"):
         played("1s link profile factory/999")
+
+
+def test_a_reset_begins_a_walk_by_touch_anew() -> None:
+    settings = {**WALK, "duration": 2.2}
+    trial = Lockstep(
+        load_config(None, settings), all_active_sets=False, events=[parse_event("1.1s reset")]
+    )
+    assert trial.run().summary["fell"] is False
+    assert trial.robot.clock is not None
+    # After 1.1 s of the first walk and of the second.
+    assert trial.robot.clock.phase == 2
+    assert trial.robot.plans is not None
+    assert trial.robot.plans.law != 0
