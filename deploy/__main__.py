@@ -18,6 +18,8 @@ COMMANDS = (
     Subcommand("down", "end every stack in the background", _CONTROL),
     Subcommand("push", "push the robot of a running stack", _OPERATE),
     Subcommand("link", "change the link of a running stack", _OPERATE),
+    Subcommand("go", "let the robot of a running stack walk to a place", _OPERATE),
+    Subcommand("drive", "drive the robot of a running stack, by keys or a gamepad", _OPERATE),
     Subcommand("controller", "change the controller of a running stack", _OPERATE),
     Subcommand("pause", "let simulated time of a running stack stand still", _OPERATE),
     Subcommand("step", "let simulated time go on for some ticks", _OPERATE),

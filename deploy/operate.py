@@ -8,17 +8,23 @@ folder.
 from __future__ import annotations
 
 import argparse
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from deploy.background.registry import running_stacks
 from deploy.background.state import StackFolder, StackState
-from deploy.plan import NETEM, ROBOT
+from deploy.plan import EDGE, NETEM, ROBOT
 from shared.bus.security import robot_name
 from shared.commands import wbc
 from shared.config.extensions import CONTROLLERS
 from shared.errors import ConfigError, LinkError
 from shared.process.cli import EXIT_STANDING
-from shared.wire.operator import LINK_WORDS, Command, LinkCommand, parse_command
+from shared.wire.operator import LINK_WORDS, Command, EdgeCommand, LinkCommand, parse_command
+
+if TYPE_CHECKING:
+    from shared.bus.operator import CommandClient
 
 _DIAL_ONCE = {"connect/timeout_ms": 3000, "connect/exit_on_failure": True}
 
@@ -92,6 +98,40 @@ def run_speed(arguments: argparse.Namespace) -> int:
     return _send(f"speed {arguments.factor}", arguments)
 
 
+def add_go_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("x", metavar="X", help="place in the plan's frame [m]")
+    parser.add_argument("y", metavar="Y", help="[m], positive: to the left")
+    parser.add_argument("yaw", metavar="YAW", help="heading as in 1.57, or 90deg")
+    add_stack_arguments(parser)
+
+
+def run_go(arguments: argparse.Namespace) -> int:
+    """Let the robot walk to a place."""
+    return _send(f"go {arguments.x} {arguments.y} {arguments.yaw}", arguments)
+
+
+def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "velocity",
+        metavar="NUMBER",
+        nargs="*",
+        help="forward, to the left [m/s], turning to the left [rad/s], for a second; without "
+        "numbers by keys, or by a gamepad if there is one, until Ctrl-C",
+    )
+    add_stack_arguments(parser)
+
+
+def run_drive(arguments: argparse.Namespace) -> int:
+    """Drive the robot at a velocity, or by keys."""
+    if arguments.velocity:
+        return _send(f"drive {' '.join(arguments.velocity)}", arguments)
+    from deploy.drive import drive
+
+    with _client(parse_command("drive 0 0 0"), arguments) as client:
+        drive(client)
+    return EXIT_STANDING
+
+
 def add_stack_arguments(parser: argparse._ActionsContainer) -> None:
     """Add the options that select a running stack."""
     which = parser.add_mutually_exclusive_group()
@@ -120,6 +160,16 @@ def run_reset(arguments: argparse.Namespace) -> int:
 def _send(text: str, arguments: argparse.Namespace) -> int:
     """Send a command to the stack that the arguments select, and print its answer. Return 0."""
     command = parse_command(text)
+    with _client(command, arguments) as client:
+        answer = client.send(command)
+    note = f"; {answer.note}" if answer.note else ""
+    print(f"{command}: from {answer.time_ns * 1e-9:.3f} s of the task on{note}")
+    return EXIT_STANDING
+
+
+@contextlib.contextmanager
+def _client(command: Command, arguments: argparse.Namespace) -> Iterator[CommandClient]:
+    """Yield a session with the stack that the arguments select for a command."""
     hub = _stack_for(command, run=arguments.run, robot=arguments.name).hub
     # Imported here: a command that is refused above needs no Zenoh.
     from shared.bus.operator import CommandClient
@@ -127,12 +177,16 @@ def _send(text: str, arguments: argparse.Namespace) -> int:
 
     bus = ZenohBus(connect=[hub], mode="client", settings=_DIAL_ONCE)
     try:
-        answer = CommandClient(bus).send(command)
+        yield CommandClient(bus)
     finally:
         bus.close()
-    note = f"; {answer.note}" if answer.note else ""
-    print(f"{command}: from {answer.time_ns * 1e-9:.3f} s of the task on{note}")
-    return EXIT_STANDING
+
+
+def service_of(command: Command) -> str:
+    """Return the name of the service that carries a command out."""
+    if isinstance(command, LinkCommand):
+        return NETEM
+    return EDGE if isinstance(command, EdgeCommand) else ROBOT
 
 
 def _stack_for(command: Command, *, run: Path | None, robot: str | None) -> StackState:
@@ -146,7 +200,7 @@ def _stack_for(command: Command, *, run: Path | None, robot: str | None) -> Stac
     if not found:
         whose = f" in {run}" if run is not None else f" of {robot}" if robot is not None else ""
         raise ConfigError(f"no stack{whose} runs; {start}")
-    service = NETEM if isinstance(command, LinkCommand) else ROBOT
+    service = service_of(command)
     having = [each for each in found if service in each[1].named]
     if not having:
         raise ConfigError(

@@ -25,6 +25,7 @@ from pathlib import Path
 from deploy.background.detach import in_background
 from deploy.background.registry import Registry
 from deploy.console.keys import has_keys
+from deploy.operate import service_of
 from deploy.plan import (
     NETEM,
     ROBOT,
@@ -191,7 +192,7 @@ def _is_demo(arguments: argparse.Namespace) -> bool:
 def _check_scene(scene: Sequence[CommandEvent], plan: Plan) -> None:
     """Raise `UserError` if a command of the scene cannot be carried out here."""
     for event in scene:
-        service = NETEM if isinstance(event.command, LinkCommand) else ROBOT
+        service = service_of(event.command)
         if not plan.has(service):
             raise ConfigError(
                 f"events: {event.command}: expected {service} among the services, got "

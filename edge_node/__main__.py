@@ -15,9 +15,11 @@ import time
 from edge_node.client_monitor import ClientMonitor
 from edge_node.node import EdgeNode
 from shared.bus.base import Inbox, sender_name
+from shared.bus.operator import CommandServer, RobotTimes
 from shared.bus.security import EDGE
 from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
+from shared.errors import ConfigError
 from shared.motion.plan import make_motion
 from shared.output.no_start import refused_in_words
 from shared.output.report import edge_report
@@ -34,6 +36,7 @@ from shared.process.service import (
 from shared.robots import load_robot
 from shared.telemetry.schema import SOLVE_SCHEMA
 from shared.wire.channels import DOWNLINK, PLANS, SOLVES_KEY, UPLINK
+from shared.wire.operator import EDGE_COMMANDS_KEY, Accepted, Command, EdgeCommand
 
 _PRIORITY = 10
 _POLL_NS = 50_000_000
@@ -82,6 +85,8 @@ def main() -> int:
         bus.subscribe(UPLINK.key_for(name), inbox.put)
     downlinks = {name: bus.publisher(DOWNLINK.key_for(name)) for name in served}
     plan_keys = {name: bus.publisher(PLANS.key_for(name)) for name in served}
+    if log.hub is not None:
+        _serve_commands(log.hub, node, served)
     suspend_garbage_collection()
     where = arguments.connect or arguments.listen
     names = ", ".join(f"{name} as {sender_name(downlinks[name].session)}" for name in served)
@@ -134,6 +139,21 @@ def main() -> int:
     # Last, because a neighbour that is cut off makes it wait.
     bus.close()
     return EXIT_STANDING
+
+
+def _serve_commands(hub: ZenohBus, node: EdgeNode, robots: tuple[str, ...]) -> None:
+    """Carry out an operator's commands about where to walk."""
+    times = RobotTimes(hub, lambda text: print(text, flush=True))
+
+    def carry_out(command: Command) -> Accepted:
+        if not isinstance(command, EdgeCommand):
+            raise ConfigError(f"{command}: expected a command for the edge; send it to the robot")
+        if len(robots) > 1:
+            raise ConfigError(f"{command}: expected an edge of one robot, got {len(robots)}")
+        # A velocity that is given again is an event, since it holds for a while only.
+        return times.carried_out(command, tell=node.steer(command))
+
+    CommandServer(hub, EDGE_COMMANDS_KEY, carry_out)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from edge_node.session import RobotSession, Sessions
 from edge_node.step_planning import StepPlanning
 from shared.bus.base import RefusalCounter
 from shared.config.settings import RunConfig
-from shared.errors import MessageRefused
+from shared.errors import ConfigError, MessageRefused
 from shared.robots import Robot
 from shared.telemetry.schema import SOLVE_SCHEMA
 from shared.wbc.answer import TimedProjector
@@ -32,6 +32,7 @@ from shared.wire.messages import (
     ProjectorMessage,
     RobotState,
 )
+from shared.wire.operator import EdgeCommand
 from shared.wire.plans import PlanCodec
 
 # Of the refresh distance, and at most so far [rad]: further ahead velocities tell little.
@@ -108,6 +109,18 @@ class EdgeNode:
             if answer is not None:
                 return answer
         return None
+
+    def steer(self, command: EdgeCommand) -> bool:
+        """Carry out an operator's command. Return whether it says anything new.
+
+        Raise `ConfigError` if the robots do not step by touch. This may run on any thread.
+        """
+        if self._stepper is None:
+            raise ConfigError(
+                f"{command}: expected robots that step by touch, got --stepping off; start the "
+                "stack with --stepping on, see docs/stepping.md"
+            )
+        return self._stepper.steer(command)
 
     def take_plans(self) -> list[tuple[str, bytes]]:
         """Return the robot and the message of each plan and step law to send now."""

@@ -22,6 +22,7 @@ from shared.motion.step_law import StepLaw
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
+from shared.wire.operator import DRIVE_NS, EdgeCommand, Go
 
 # A plan is of use for so long after its state [ns].
 _VALID_NS = 1_000_000_000
@@ -263,10 +264,24 @@ class PathPlanner:
     def __init__(self, robot: Robot, config: RunConfig) -> None:
         self.velocity = Velocity()
         self.goal: tuple[float, float, float] | None = None
+        # A velocity by command has been given again since the last state, or holds until this time.
+        self._renewed = False
+        self._until_ns: int | None = None
         self._build = FootstepBuilder(
             robot, config.walk, double_support=config.stepping.double_support
         )
         self._walk = config.walk
+
+    def steer(self, command: EdgeCommand) -> bool:
+        """Take a goal or a velocity from a command. Return whether it is another one."""
+        before = self.goal, self.velocity
+        if isinstance(command, Go):
+            self.goal, self.velocity = (command.x, command.y, command.yaw), Velocity()
+        else:
+            velocity = Velocity(command.forward, command.left, command.turning)
+            self.goal, self.velocity = None, velocity
+            self._renewed = True
+        return (self.goal, self.velocity) != before
 
     def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
         report = state.steps
@@ -293,6 +308,18 @@ class PathPlanner:
             stamp_ns=state.stamp_ns,
             number=number,
         )
+
+    def expires(self, now_ns: int) -> bool:
+        """Let a velocity that was not given again for `DRIVE_NS` end. Return whether it ends now.
+
+        Call this at every state, with its time.
+        """
+        if self._renewed:
+            self._renewed, self._until_ns = False, now_ns + DRIVE_NS
+        elif self._until_ns is not None and now_ns > self._until_ns:
+            self.velocity, self._until_ns = Velocity(), None
+            return True
+        return False
 
     def _advance(self, report: StepReport) -> tuple[tuple[float, float, float], int]:
         """Length, sideways part and turn of each step, and the number of steps."""

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from edge_node.planner import Planner, make_planner
+from edge_node.planner import PathPlanner, Planner, make_planner
 from shared.config.settings import RunConfig
 from shared.motion.planned import Plan
 from shared.motion.stance import Stance, middle
@@ -16,6 +16,7 @@ from shared.robots import Robot
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Reference, turned
 from shared.wire.messages import RobotState
+from shared.wire.operator import EdgeCommand
 from shared.wire.plans import as_sent, law_identity
 
 # Between two plans at least, as the key of plans has 50 Hz.
@@ -29,9 +30,23 @@ class StepPlanning:
         self.law: StepLaw = as_sent(make_step_law(robot, Stance.of(robot)))
         self.law_identity = law_identity(self.law)
         self.planner: Planner = make_planner(robot, config, self.law)
+        self._path = PathPlanner(robot, config)
+        # Commands so far that ask for another plan.
+        self.steered = 0
         # The planner on the edge alone decides without a law on the robot.
         self.sends_law = config.stepping.mode == "on"
         self._standing = Standing(robot).reference(0)
+
+    def steer(self, command: EdgeCommand) -> bool:
+        """Let the robots walk as a command says. Return whether that is anything new."""
+        new = self._path.steer(command) or self.planner is not self._path
+        self.planner = self._path
+        self.steered += new
+        return new
+
+    def note(self, now_ns: int) -> None:
+        """Note the time of a state, by the robot's clock: a velocity holds for a while only."""
+        self.steered += self._path.expires(now_ns)
 
     def reference(self, state: RobotState) -> Reference | None:
         """Return the reference that a robot has by its own report; None without one."""
@@ -54,6 +69,7 @@ class StepDelivery:
         self._retry_ns = retry_ns
         self._sent_ns = self._law_sent_ns = -(2**62)
         self._planned_phase = -1
+        self._steered = 0
         self._number = -1
 
     def due(
@@ -61,6 +77,7 @@ class StepDelivery:
     ) -> Plan | StepLaw | None:
         """Return what to send as answer to a state; None if the robot has all."""
         steps, now_ns = state.steps, state.stamp_ns
+        planning.note(now_ns)
         if steps is None or now_ns - self._sent_ns < _INTERVAL_NS:
             return None
         lacks_law = planning.sends_law and steps.law != planning.law_identity
@@ -68,12 +85,13 @@ class StepDelivery:
             self._sent_ns = self._law_sent_ns = now_ns
             return planning.law
         lacking = steps.plan < self._number and now_ns - self._sent_ns >= self._retry_ns
-        due = planning.planner.reacts or steps.phase != self._planned_phase
+        planner, steered = planning.planner, planning.steered
+        due = planner.reacts or steps.phase != self._planned_phase or steered != self._steered
         if not due and not lacking:
             return None
         number = max(steps.plan, self._number) + 1
-        plan = planning.planner.plan(state, com=_com(state, model), number=number)
-        self._planned_phase = steps.phase
+        plan = planner.plan(state, com=_com(state, model), number=number)
+        self._planned_phase, self._steered = steps.phase, steered
         if plan is None:
             self._number = steps.plan
             return None

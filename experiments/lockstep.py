@@ -44,7 +44,7 @@ from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema
 from shared.wire.channels import DOWNLINK, PLANS, UPLINK
 from shared.wire.codec import Codec
-from shared.wire.operator import Command, CommandEvent, LinkCommand, Reset
+from shared.wire.operator import Command, CommandEvent, EdgeCommand, LinkCommand, Reset
 
 _RANK_DELIVERY, _RANK_EDGE, _RANK_MEASURE, _RANK_COMMAND = range(4)
 
@@ -229,6 +229,8 @@ class Lockstep:
                 config=self.config.link,
                 seed=self.config.seed,
             )
+        elif isinstance(command, EdgeCommand):
+            self.edge.steer(command)
         else:
             self.robot.prepare(command)()
         self.done.append(CommandEvent(self.robot.time_ns, command))

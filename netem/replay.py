@@ -7,7 +7,6 @@ both sides, so a run without the shim differs in one endpoint only.
 from __future__ import annotations
 
 import argparse
-import contextlib
 
 from netem.link_options import add_link_arguments, link_config_from
 from netem.networks import load_network, profile_of
@@ -15,11 +14,10 @@ from netem.profile import DOWNLINK as DOWN
 from netem.profile import UPLINK as UP
 from netem.profile import profile_report
 from netem.shim import Shim, Sides
-from shared.bus.base import Delivery
-from shared.bus.operator import CommandServer
+from shared.bus.operator import CommandServer, RobotTimes
 from shared.bus.security import NETEM
 from shared.bus.zenoh_bus import ZenohBus, machine_clock
-from shared.errors import ConfigError, MessageRefused
+from shared.errors import ConfigError
 from shared.output.report import link_report
 from shared.process.cli import EXIT_STANDING
 from shared.process.realtime import prepare, suspend_garbage_collection, usable_cores, wakes_late_ns
@@ -35,16 +33,11 @@ from shared.process.service import (
 from shared.telemetry.schema import LINK_SCHEMA
 from shared.wire.channels import DOWNLINK, LINK_KEY, PLANS, UPLINK
 from shared.wire.operator import (
-    CLOCK_KEY,
-    EVENTS_KEY,
     LINK_COMMANDS_KEY,
     Accepted,
     Command,
-    CommandEvent,
     LinkCommand,
-    encode_event,
 )
-from shared.wire.robot_clock import ClockReading, decode_clock
 
 _PRIORITY = 20
 # With fewer cores, spinning takes time from robot and edge (`docs/timing.md`).
@@ -72,25 +65,17 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _serve_commands(hub: ZenohBus, shim: Shim) -> None:
     """Carry out an operator's commands, in the time of the robot that the hub has."""
-    reading = ClockReading(*shim.time.origin, now_ns=0, task_ns=0)
-
-    def take_clock(delivery: Delivery) -> None:
-        nonlocal reading
-        with contextlib.suppress(MessageRefused):
-            reading = decode_clock(delivery.data)
-            shim.set_time(reading.origin)
+    times = RobotTimes(
+        hub,
+        lambda text: print(text, flush=True),
+        on_clock=lambda reading: shim.set_time(reading.origin),
+    )
 
     def carry_out(command: Command) -> Accepted:
         if not isinstance(command, LinkCommand):
             raise ConfigError(f"{command}: expected a command for the link; send it to the robot")
-        now_ns = shim.change(command, profile_of(command))
-        event = CommandEvent(reading.tick_from(now_ns) if reading.now_ns else 0, command)
-        events.publish(encode_event(event, wall_ns=now_ns))
-        print(f"{event.time_ns * 1e-9:.3f} s: operator: {command}", flush=True)
-        return Accepted(event.time_ns)
+        return times.carried_out(command, shim.change(command, profile_of(command)))
 
-    events = hub.publisher(EVENTS_KEY)
-    hub.subscribe(CLOCK_KEY, take_clock)
     CommandServer(hub, LINK_COMMANDS_KEY, carry_out)
 
 

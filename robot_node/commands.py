@@ -20,6 +20,7 @@ from shared.wire.operator import (
     Accepted,
     Command,
     CommandEvent,
+    EdgeCommand,
     LinkCommand,
     Pause,
     Reset,
@@ -51,8 +52,8 @@ class RobotCommands:
             self._clock.publish(encode_clock(reading))
 
     def _carry_out(self, command: Command) -> Accepted:
-        if isinstance(command, LinkCommand):
-            raise ConfigError(f"{command}: expected a command for the robot; send it to the link")
+        if isinstance(command, LinkCommand | EdgeCommand):
+            raise ConfigError(f"{command}: expected a command for the robot, not link or edge")
         if not self._loop.progress.running:
             raise LinkError(f"{command}: the task has not begun yet; try again")
         if self._node.fallen and not isinstance(command, Reset):

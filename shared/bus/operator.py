@@ -7,23 +7,33 @@ and drops the others.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
 
+from shared.bus.base import Delivery
 from shared.bus.zenoh_bus import ZenohBus
-from shared.errors import LinkError, UserError
+from shared.clock import ScaledClock
+from shared.errors import LinkError, MessageRefused, UserError
 from shared.wire.operator import (
+    CLOCK_KEY,
+    EDGE_COMMANDS_KEY,
+    EVENTS_KEY,
     LINK_COMMANDS_KEY,
     ROBOT_COMMANDS_KEY,
     Accepted,
     Command,
+    CommandEvent,
+    EdgeCommand,
     LinkCommand,
     decode_answer,
     decode_command,
     encode_answer,
     encode_command,
+    encode_event,
 )
+from shared.wire.robot_clock import ClockReading, decode_clock
 
 _PAUSE_SECONDS = 0.02
 _ANSWER_SECONDS = 5.0
@@ -40,11 +50,13 @@ class CommandClient:
 
         Raise `LinkError` with the reason if it is refused, or if no process answers.
         """
-        of_link = isinstance(command, LinkCommand)
-        key = LINK_COMMANDS_KEY if of_link else ROBOT_COMMANDS_KEY
+        key, who = ROBOT_COMMANDS_KEY, "robot"
+        if isinstance(command, LinkCommand):
+            key, who = LINK_COMMANDS_KEY, "shim, which --network direct leaves out"
+        elif isinstance(command, EdgeCommand):
+            key, who = EDGE_COMMANDS_KEY, "edge on this machine"
         data = self._bus.ask(key, encode_command(command), within=_ANSWER_SECONDS)
         if data is None:
-            who = "shim, which --network direct leaves out" if of_link else "robot"
             raise LinkError(
                 f"{command}: expected an answer, got none: the stack has no {who}, or it gets too "
                 "many commands at once; try again"
@@ -53,6 +65,49 @@ class CommandClient:
         if isinstance(answer, str):
             raise LinkError(answer)
         return answer
+
+
+class RobotTimes:
+    """Answers and publishes the commands of a process beside the robot, by the robot's clock.
+
+    `say` prints a line for each. `on_clock` gets each reading of the clock.
+    """
+
+    def __init__(
+        self,
+        hub: ZenohBus,
+        say: Callable[[str], None],
+        on_clock: Callable[[ClockReading], None] = lambda reading: None,
+    ) -> None:
+        self._say = say
+        self._on_clock = on_clock
+        self._clock = ScaledClock()
+        self._reading: ClockReading | None = None
+        self._events = hub.publisher(EVENTS_KEY)
+        hub.subscribe(CLOCK_KEY, self._take)
+
+    def carried_out(
+        self, command: Command, now_ns: int | None = None, *, tell: bool = True
+    ) -> Accepted:
+        """Publish a command that holds from `now_ns` of the robot's clock on, or from now on.
+
+        Without `tell`, no line is printed.
+        """
+        if now_ns is None:
+            now_ns = self._clock.now_ns()
+        event = CommandEvent(
+            0 if self._reading is None else self._reading.tick_from(now_ns), command
+        )
+        self._events.publish(encode_event(event, wall_ns=now_ns))
+        if tell:
+            self._say(f"{event.time_ns * 1e-9:.3f} s: operator: {command}")
+        return Accepted(event.time_ns)
+
+    def _take(self, delivery: Delivery) -> None:
+        with contextlib.suppress(MessageRefused):
+            reading = decode_clock(delivery.data)
+            self._clock.origin, self._reading = reading.origin, reading
+            self._on_clock(reading)
 
 
 class CommandServer:

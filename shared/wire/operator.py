@@ -19,13 +19,14 @@ from pathlib import Path
 import msgpack
 
 from shared.config.extensions import CONTROLLERS
-from shared.config.quantities import parse_duration_ns, parse_push
+from shared.config.quantities import parse_angle, parse_duration_ns, parse_push
 from shared.errors import ConfigError, MessageRefused, one_of
 from shared.regular_file import read_regular
 
-# Keys of the telemetry session: the two receivers of commands, the events, and the robot's clock.
+# Keys of the telemetry session: the three receivers of commands, the events, and the robot's clock.
 ROBOT_COMMANDS_KEY = "command/robot"
 LINK_COMMANDS_KEY = "command/link"
+EDGE_COMMANDS_KEY = "command/edge"
 EVENTS_KEY = "telemetry/events"
 CLOCK_KEY = "telemetry/clock"
 # The view publishes an empty message on this key once a person can see it.
@@ -45,6 +46,11 @@ _PUSH_FOR = "0.2s"
 _MAX_STEP_TICKS = 60_000
 _SLOWEST = 0.01
 _MAX_DELAY_NS = 60_000_000_000
+# Numbers are rounded to so many decimals, so that a text and its value say the same.
+_DIGITS = 6
+_FARTHEST, _FASTEST = 1000.0, 2.0
+# A velocity holds for so long after its command [ns], by the robot's clock.
+DRIVE_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,7 @@ class PushCommand:
 
     def __str__(self) -> str:
         lasts = _duration(self.duration_ns)
-        return f"push {self.force:g}N {self.direction} --for {lasts}"
+        return f"push {_number(self.force)}N {self.direction} --for {lasts}"
 
     @property
     def vector(self) -> tuple[float, float, float]:
@@ -108,7 +114,7 @@ class Speed:
     factor: float
 
     def __str__(self) -> str:
-        return f"speed {self.factor:g}"
+        return f"speed {_number(self.factor)}"
 
 
 @dataclass(frozen=True)
@@ -152,7 +158,7 @@ class SetLoss:
     probability: float
 
     def __str__(self) -> str:
-        return f"link loss {100 * self.probability:g}%"
+        return f"link loss {_number(100 * self.probability)}%"
 
 
 @dataclass(frozen=True)
@@ -175,10 +181,39 @@ class Stall:
         return f"link outage {_duration(self.duration_ns)}"
 
 
-# Carried out by the robot, and by the shim.
+@dataclass(frozen=True)
+class Go:
+    """The robot walks to a place in the plan's frame, (x, y) [m] and heading [rad], and stands."""
+
+    x: float
+    y: float
+    yaw: float
+
+    def __str__(self) -> str:
+        return f"go {_number(self.x)} {_number(self.y)} {_number(self.yaw)}"
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The robot walks at a velocity: forward, to the left [m/s], turning to the left [rad/s].
+
+    It comes to a stand unless the command comes again within `DRIVE_NS`.
+    """
+
+    forward: float
+    left: float
+    turning: float
+
+    def __str__(self) -> str:
+        numbers = (self.forward, self.left, self.turning)
+        return f"drive {' '.join(map(_number, numbers))}"
+
+
+# Carried out by the robot, the shim and the edge.
 RobotCommand = PushCommand | SwitchController | Reset | Pause | Step | Speed | Resume
 LinkCommand = Cut | Restore | AddDelay | SetLoss | ReplaceProfile | Stall
-Command = RobotCommand | LinkCommand
+EdgeCommand = Go | Drive
+Command = RobotCommand | LinkCommand | EdgeCommand
 
 
 def parse_command(text: str) -> Command:
@@ -199,7 +234,7 @@ def _push(words: Sequence[str]) -> Command:
         raise _unexpected("push", "FORCE DIRECTION as in 120N +y, and --for 0.2s", words)
     size, direction, lasts = words[0], words[1], words[3]
     number = re.fullmatch(r"([0-9]*\.?[0-9]+)N", size)
-    force = float(number[1]) if number is not None else math.inf
+    force = round(float(number[1]), _DIGITS) if number is not None else math.inf
     if not 0.0 < force <= _MAX_FORCE:
         raise ConfigError(f"push: expected a force up to {_MAX_FORCE:g}N as in 120N, got {size!r}")
     duration_ns = _duration_of("push", lasts, at_least=TICK_NS, at_most=_MAX_PUSH_NS)
@@ -236,10 +271,33 @@ def _step(words: Sequence[str]) -> Command:
 
 def _speed(words: Sequence[str]) -> Command:
     text = words[0] if len(words) == 1 else ""
-    factor = float(text) if re.fullmatch(r"[0-9]*\.?[0-9]+", text) else math.nan
+    factor = round(float(text), _DIGITS) if re.fullmatch(r"[0-9]*\.?[0-9]+", text) else math.nan
     if not _SLOWEST <= factor <= 1.0:
         raise _unexpected("speed", f"{_SLOWEST:g} to 1 × real time", words)
     return Speed(factor)
+
+
+def _go(words: Sequence[str]) -> Command:
+    try:
+        x, y = (round(float(word), _DIGITS) for word in words[:2])
+        yaw = round(parse_angle(words[2]), _DIGITS) if len(words) == 3 else math.nan
+        if not max(abs(x), abs(y)) <= _FARTHEST or not abs(yaw) <= math.tau:
+            raise ValueError
+    except (ValueError, ConfigError):
+        raise _unexpected("go", "X Y YAW in m and rad, as in 1.5 0 90deg", words) from None
+    return Go(x, y, yaw)
+
+
+def _drive(words: Sequence[str]) -> Command:
+    try:
+        forward, left, turning = (round(float(word), _DIGITS) for word in words)
+        if not max(abs(forward), abs(left), abs(turning)) <= _FASTEST:
+            raise ValueError
+    except ValueError:
+        raise _unexpected(
+            "drive", f"FORWARD LEFT TURNING up to {_FASTEST:g} m/s and rad/s, as in 0.2 0 0", words
+        ) from None
+    return Drive(forward, left, turning)
 
 
 def _without_words(name: str, make: Callable[[], Command]) -> Callable[[Sequence[str]], Command]:
@@ -270,7 +328,7 @@ def _loss(words: Sequence[str]) -> Command:
     loss = math.nan if number is None else float(number[1]) / (100.0 if number[2] else 1.0)
     if not 0.0 <= loss < 1.0:
         raise _unexpected("link loss", "0% to less than 100%, as in 10% or 0.1", words)
-    return SetLoss(loss)
+    return SetLoss(round(loss, _DIGITS))
 
 
 def _profile(words: Sequence[str]) -> Command:
@@ -299,6 +357,8 @@ _PARSERS: dict[str, Callable[[Sequence[str]], Command]] = {
     "push": _push,
     "link": _link,
     "controller": _controller,
+    "go": _go,
+    "drive": _drive,
     "pause": _without_words("pause", Pause),
     "step": _step,
     "speed": _speed,
@@ -326,6 +386,11 @@ def _duration_of(name: str, text: str, *, at_least: int, at_most: int) -> int:
         least, most = _duration(at_least), _duration(at_most)
         raise ConfigError(f"{name}: expected {least} to {most}, got {text}")
     return duration_ns
+
+
+def _number(value: float) -> str:
+    """Return a number as the parsers read it, without a loss of digits."""
+    return f"{value + 0.0:.{_DIGITS}f}".rstrip("0").rstrip(".")
 
 
 def _duration(duration_ns: int) -> str:

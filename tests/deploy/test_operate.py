@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import struct
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,13 @@ from deploy.background import registry
 from deploy.background.registry import in_terminal
 from deploy.background.state import READY, StackFolder, StackState
 from deploy.console.keys import commands_of, keys_in_words
+from deploy.drive import Gamepad, Hand
 from shared.errors import ConfigError, LinkError
 from shared.process.cli import Parser
-from shared.wire.operator import Cut, PushCommand, SwitchController
+from shared.wire.operator import Cut, Drive, PushCommand, SwitchController
 
 NOBODY = 2**22 + 1
+STOP = Drive(0.0, 0.0, 0.0)
 
 
 @pytest.fixture(autouse=True)
@@ -60,6 +63,8 @@ def test_a_wrong_command_is_refused_before_a_stack_is_looked_for() -> None:
         ("link", "chop"),
         ("controller", "lx"),
         ("step", "0"),
+        ("go", "1", "2", "north"),
+        ("drive", "0.1", "0"),
         ("speed", "7"),
     ):
         with pytest.raises(ConfigError, match="expected"):
@@ -142,3 +147,33 @@ def test_the_first_word_after_link_decides_between_a_command_and_a_study(
     assert studied == ["./cut", "factory/011"]
     with pytest.raises(SystemExit):
         typed("factory/011", "80ms")
+
+
+def test_a_key_drives_while_it_is_held_and_any_other_key_stops() -> None:
+    hand = Hand()
+    assert hand.wanted(0.0) == STOP
+    hand.take("w", 1.0)
+    assert hand.wanted(1.5).forward > 0.0
+    assert hand.wanted(1.8) == STOP
+    hand.take("wd", 2.0)
+    assert hand.wanted(2.1).left < 0.0
+    hand.take("x", 2.2)
+    assert hand.wanted(2.3) == STOP
+
+
+def test_a_gamepad_drives_only_while_a_shoulder_button_is_held() -> None:
+    gamepad = Gamepad()
+
+    def event(value: int, kind: int, number: int) -> None:
+        gamepad.take(struct.pack("IhBB", 7, value, kind, number))
+
+    event(-32767, 2, 1)
+    assert gamepad.wanted is None
+    event(1, 1, 4)
+    assert gamepad.wanted == Drive(0.15, 0.0, 0.0)
+    # A stick that is almost at rest is at rest.
+    event(3000, 2, 0)
+    assert gamepad.wanted == Drive(0.15, 0.0, 0.0)
+    event(0, 1, 4)
+    assert gamepad.wanted is None
+    gamepad.take(b"cut")

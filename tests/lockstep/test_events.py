@@ -14,6 +14,7 @@ from experiments.trial import add_trial_arguments, run_trial, write_run
 from shared.config.config_file import load_config
 from shared.errors import ConfigError, ProfileError
 from shared.telemetry.schema import LINK_SCHEMA, Source
+from shared.wbc.contacts import ContactMode
 from shared.wire.operator import parse_event, read_events
 from tests.lockstep.test_stepping import WALK
 
@@ -117,3 +118,36 @@ def test_a_reset_begins_a_walk_by_touch_anew() -> None:
     assert trial.robot.clock.phase == 2
     assert trial.robot.plans is not None
     assert trial.robot.plans.law != 0
+
+
+STANDS = {**WALK, "task": "balance", "walk.steps": 6}
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_driven_robot_stops_by_itself_when_no_hand_is_on_it(cut: bool) -> None:
+    """It walks ahead by the commands that it gets, and stands after the last one. With the link
+    cut in the middle of its steps it stands too, and goes on after `restore`.
+    """
+    events = ["0.3s drive 0.15 0 0", "0.8s drive 0.15 0 0"]
+    if cut:
+        events = ["0.3s drive 0.15 0 0", "1.0s link cut", "3.0s link restore", "3.1s go 0.3 0 0"]
+    config = load_config(None, {**STANDS, "duration": 6.0 if cut else 3.6})
+    trial = Lockstep(config, all_active_sets=False, events=map(parse_event, events))
+    result = trial.run()
+    assert result.summary["fell"] is False
+    mode, time_ns = (result.schema.column(result.rows, name) for name in ("mode", "time_ns"))
+    stands = mode == ContactMode.DOUBLE_SUPPORT
+    assert not stands[time_ns < 2_000 * MS].all()
+    assert stands[-300:].all()
+    ahead = float(result.schema.column(result.rows, "com")[-1, 0])
+    if cut:
+        # The plan that it had ended in a stand, and the goal was reached after the cut.
+        assert stands[(time_ns > 2_900 * MS) & (time_ns < 3_000 * MS)].all()
+        assert ahead == pytest.approx(0.33, abs=0.05)
+    else:
+        assert 0.05 < ahead < 0.4
+
+
+def test_a_robot_that_does_not_step_by_touch_cannot_be_sent_anywhere() -> None:
+    with pytest.raises(ConfigError, match="go 1 0 0: expected robots that step by touch"):
+        played("0.1s go 1 0 0")
