@@ -123,7 +123,7 @@ def messages_page() -> str:
         "encoding and the checks of a receiver.\n",
         "| channel | key | rate [Hz] | at most [bytes] |\n|---|---|---|---|",
     ]
-    for channel in (channels.UPLINK, channels.DOWNLINK):
+    for channel in (channels.UPLINK, channels.DOWNLINK, channels.PLANS):
         lines.append(
             f"| {channel.name} | `{channel.key}` | {channel.rate_hz} | {channel.max_bytes} |"
         )

@@ -28,6 +28,13 @@ from shared.wire.operator import DRIVE_NS, EdgeCommand, Go
 _VALID_NS = 1_000_000_000
 # Steps of one plan at most, before it comes to a stand.
 _MAX_STEPS = 8
+# A robot on both feet for longer than between two steps stands [s].
+_STANDS = 0.2
+# After the last step, the time before the feet come together [ns], and the distance of feet that
+# are [m].
+_BEFORE_TOGETHER_NS, _TOGETHER = 1_000_000_000, 0.06
+# The CoP of a weight shift is at most as far from the DCM [m].
+_FARTHEST_COP = 0.3
 # Steps of a plan towards a velocity, before its stand.
 _VELOCITY_STEPS = 4
 # The most that a step advances: forward and sideways [m], turning [rad].
@@ -48,7 +55,7 @@ class Velocity:
 class Planner(Protocol):
     """Where a robot goes.
 
-    One that `reacts` is asked at every state, any other at the first one of each phase.
+    It is asked until it has a plan for the present phase, and one that `reacts` also after that.
     """
 
     reacts: bool
@@ -91,8 +98,10 @@ class FootstepBuilder:
         # (mode, duration, footprint, CoP)
         spans: list[tuple[ContactMode, float, Footprint | None, np.ndarray | None]] = []
         if mode is ContactMode.DOUBLE_SUPPORT:
-            first = config.begin_duration if report.phase == 0 else self._double_support
-            spans.append((mode, max(first, elapsed + 0.02), None, None))
+            # A robot that stands has to shift its weight first.
+            stands = report.phase == 0 or elapsed > _STANDS
+            shift = elapsed + config.begin_duration if stands else self._double_support
+            spans.append((mode, max(shift, elapsed + 0.02), None, None))
         for goal in footprints:
             support = feet[other(goal.foot)]
             duration = single
@@ -119,7 +128,10 @@ class FootstepBuilder:
             left = max(0.02, duration - elapsed)
             growth = math.exp(omega * left)
             dcm = com[0] + com[1] / omega
-            spans[0] = (mode, duration, goal_, (ends[0] - dcm * growth) / (1.0 - growth))
+            shift = (dcm - ends[0]) / (growth - 1.0)
+            # With little time left no real CoP would do, and the step law does the rest.
+            shift *= min(1.0, _FARTHEST_COP / max(1e-9, math.hypot(*shift.tolist())))
+            spans[0] = (mode, duration, goal_, dcm + shift)
         phases, begin_ns = [], 0
         for (mode, duration, goal_, at), dcm in zip(spans, ends, strict=True):
             assert at is not None
@@ -139,12 +151,48 @@ class FootstepBuilder:
 
 
 class StandingPlanner:
-    """The robot stands, and steps only if its step law says so."""
+    """The robot stands, and steps only if its step law says so.
+
+    After such steps, when it has stood for a while, two more bring its feet together.
+    """
 
     reacts = False
 
+    def __init__(self, robot: Robot, config: RunConfig) -> None:
+        self._build = FootstepBuilder(
+            robot, config.walk, double_support=config.stepping.double_support
+        )
+
     def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
-        return None
+        report = state.steps
+        if report is None or state.mode is not ContactMode.DOUBLE_SUPPORT:
+            return None
+        if report.phase_ns < _BEFORE_TOGETHER_NS or self._together(report):
+            return None
+        footprints = footsteps(
+            report,
+            state.mode,
+            (0.0, 0.0, 0.0),
+            steps=2,
+            width=self._build.stance.width,
+            lead=Foot.LEFT,
+        )
+        return self._build.plan(
+            report,
+            state.mode,
+            footprints,
+            com=com,
+            origin=PlanOrigin(state.session, state.sequence, report.phase),
+            stamp_ns=state.stamp_ns,
+            number=number,
+        )
+
+    def _together(self, report: StepReport) -> bool:
+        left, right = report.feet
+        c, s = math.cos(right.yaw), math.sin(right.yaw)
+        dx, dy = left.x - right.x, left.y - right.y
+        ahead, beside = c * dx + s * dy, -s * dx + c * dy
+        return math.hypot(ahead, beside - self._build.stance.width) < _TOGETHER
 
 
 class ReactivePlanner:
@@ -401,7 +449,7 @@ def make_planner(robot: Robot, config: RunConfig, law: StepLaw) -> Planner:
     """Return the planner of a task. Raise `ConfigError` if the task has none."""
     if config.task == "balance":
         alone = config.stepping.mode == "edge"
-        return ReactivePlanner(robot, config, law) if alone else StandingPlanner()
+        return ReactivePlanner(robot, config, law) if alone else StandingPlanner(robot, config)
     if config.task == "walk":
         return WalkPlanner(robot, config)
     raise ConfigError(f"stepping: expected the task balance or walk, got {config.task!r}")

@@ -1,0 +1,165 @@
+"""The edge's planners: complete plans within reach, as the pendulum goes, from the robot's feet."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from edge_node.planner import PathPlanner, StandingPlanner, Velocity, WalkPlanner
+from shared.motion.footsteps import standing_footprints
+from shared.motion.planned import PlannedMotion
+from shared.motion.stance import Stance, middle
+from shared.motion.step_law import make_step_law
+from shared.robots import Foot
+from shared.wbc.contacts import ContactMode
+from shared.wire.messages import RobotState, StepReport
+
+DOUBLE = ContactMode.DOUBLE_SUPPORT
+
+
+@pytest.fixture(scope="module")
+def walk(configured):
+    return configured(
+        **{
+            "task": "walk",
+            "wire.projector_dtype": "float32",
+            "stepping.mode": "on",
+            "wbc.balance.law": "dcm",
+            "walk.step_duration": 0.5,
+        }
+    )
+
+
+def state(robot, *, phase=0, phase_ns=0, mode=DOUBLE, feet=None):
+    prints = feet or standing_footprints(robot)
+    report = StepReport(
+        phase=phase,
+        phase_ns=phase_ns,
+        plan=-1,
+        law=0,
+        feet=(prints[Foot.LEFT], prints[Foot.RIGHT]),
+        swing=None,
+        disturbance=np.zeros(2),
+    )
+    v = np.zeros(robot.model.nv)
+    return RobotState(1, 5, 1_000, 0, mode, robot.q_standing, v, steps=report)
+
+
+def at_rest(robot, feet=None):
+    com = np.zeros((2, 2))
+    com[0] = Stance.of(robot).rest_over(feet or standing_footprints(robot))
+    return com
+
+
+def ends(plan):
+    """Where the feet stand after a plan."""
+    feet = {each.foot: each for each in plan.feet}
+    feet.update({each.foot: each for each in plan.footprints()})
+    return middle(feet)
+
+
+def test_a_walk_is_planned_to_its_end_and_within_reach(robot, walk):
+    plan = WalkPlanner(robot, walk).plan(state(robot), com=at_rest(robot), number=3)
+    assert plan.number == 3
+    assert len(plan.footprints()) == walk.walk.steps
+    assert plan.phases[-1].mode is DOUBLE
+    x, y, yaw = ends(plan)
+    x_0, _, _ = middle(standing_footprints(robot))
+    assert (x - x_0, y, yaw) == pytest.approx((0.5, 0.0, 0.0), abs=1e-9)
+    law = make_step_law(robot, Stance.of(robot))
+    feet = {each.foot: each for each in plan.feet}
+    for goal in plan.footprints():
+        support = feet[Foot.RIGHT if goal.foot is Foot.LEFT else Foot.LEFT]
+        assert abs(goal.x - support.x) <= law.footholds_x[-1]
+        assert law.footholds_y[0] <= abs(goal.y - support.y) <= law.footholds_y[-1]
+        feet[goal.foot] = goal
+
+
+def test_the_dcm_of_a_plan_is_continuous_and_comes_to_rest(robot, walk):
+    """ξ leaves the CoP of a phase by e^{ωt}, from where the phase before has left it."""
+    plan = WalkPlanner(robot, walk).plan(state(robot), com=at_rest(robot), number=0)
+    omega = Stance.of(robot).omega
+    dcm = at_rest(robot)[0]
+    for phase in plan.phases:
+        cop = np.array(phase.cop)
+        growth = math.exp(omega * (phase.end_ns - phase.begin_ns) * 1e-9)
+        dcm = cop + (dcm - cop) * growth
+        assert dcm == pytest.approx(phase.dcm, abs=1e-6)
+        dcm = np.array(phase.dcm)
+    assert dcm == pytest.approx(phase.cop)
+
+
+def test_a_planned_motion_follows_its_plan(robot, walk):
+    """The DCM of the reference is that of the plan, and the motion has no jump."""
+    plan = WalkPlanner(robot, walk).plan(state(robot), com=at_rest(robot), number=0)
+    motion, omega = PlannedMotion(plan, robot), Stance.of(robot).omega
+    for phase in plan.phases[:-1]:
+        reference = motion.reference(phase.end_ns - 1)
+        dcm = reference.com[:2] + reference.com_velocity[:2] / omega
+        assert dcm == pytest.approx(phase.dcm, abs=1e-3)
+        assert motion.next_switch(phase.begin_ns) == phase.end_ns
+    last_ns = plan.phases[-1].begin_ns
+    assert motion.next_switch(last_ns) is None
+    coms = np.array([motion.reference(k * 2_000_000).com for k in range(last_ns // 2_000_000)])
+    assert np.abs(np.diff(coms, axis=0)).max() < 2e-3
+    end = motion.reference(plan.phases[-1].end_ns + 10**9)
+    assert end.mode is DOUBLE
+    assert end.com_velocity == pytest.approx(np.zeros(3), abs=1e-3)
+
+
+def test_in_a_step_the_plan_begins_with_that_step(robot, walk):
+    planner = WalkPlanner(robot, walk)
+    report = state(robot, phase=1, phase_ns=200_000_000, mode=ContactMode.RIGHT_SUPPORT)
+    plan = planner.plan(report, com=at_rest(robot), number=0)
+    assert plan.phases[0].mode is ContactMode.RIGHT_SUPPORT
+    assert plan.phases[0].footprint.foot is Foot.LEFT
+    assert len(plan.footprints()) == walk.walk.steps
+    done = state(robot, phase=12, mode=DOUBLE)
+    assert planner.plan(done, com=at_rest(robot), number=1) is None
+
+
+@pytest.mark.parametrize("goal", [(0.6, 0.2, 0.5), (-0.3, 0.0, 0.0), (0.0, -0.25, -0.4)])
+def test_a_robot_that_replans_at_every_stop_arrives_at_its_goal(robot, walk, goal):
+    planner = PathPlanner(robot, walk)
+    planner.goal = goal
+    feet = standing_footprints(robot)
+    for _ in range(6):
+        plan = planner.plan(state(robot, feet=feet), com=at_rest(robot, feet), number=0)
+        if plan is None:
+            break
+        feet.update({each.foot: each for each in plan.footprints()})
+    else:
+        pytest.fail("the goal is not reached after six plans")
+    x, y, yaw = middle(feet)
+    assert math.dist((x, y), goal[:2]) < 0.03
+    assert abs(yaw - goal[2]) < math.radians(4.0)
+
+
+def test_a_velocity_gives_steps_and_none_a_stand(robot, walk):
+    planner = PathPlanner(robot, walk)
+    assert planner.plan(state(robot), com=at_rest(robot), number=0) is None
+    planner.velocity = Velocity(forward=0.2)
+    plan = planner.plan(state(robot), com=at_rest(robot), number=0)
+    first, second, *_ = plan.footprints()
+    assert second.x - first.x == pytest.approx(0.1)
+
+
+def test_feet_that_stand_apart_come_together(robot, walk):
+    planner = StandingPlanner(robot, walk)
+    feet = standing_footprints(robot)
+    assert (
+        planner.plan(state(robot, phase=4, phase_ns=2 * 10**9), com=at_rest(robot), number=0)
+        is None
+    )
+    feet[Foot.LEFT] = dataclasses.replace(feet[Foot.LEFT], x=0.25)
+    early = state(robot, phase=4, phase_ns=10**8, feet=feet)
+    assert planner.plan(early, com=at_rest(robot, feet), number=0) is None
+    plan = planner.plan(
+        state(robot, phase=4, phase_ns=2 * 10**9, feet=feet), com=at_rest(robot, feet), number=0
+    )
+    after = {each.foot: each for each in plan.footprints()}
+    assert after[Foot.LEFT].x == pytest.approx(after[Foot.RIGHT].x, abs=1e-9)
+    assert after[Foot.LEFT].y - after[Foot.RIGHT].y == pytest.approx(Stance.of(robot).width)
