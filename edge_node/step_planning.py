@@ -69,11 +69,8 @@ class StepDelivery:
         self._retry_ns = retry_ns
         self._asked_ns = self._sent_ns = self._law_sent_ns = -(2**62)
         self._planned_phase = -1
-<<<<<<< HEAD
         self._steered = 0
-=======
         self._round_trip_ns, self._arrived = 0, True
->>>>>>> 58adafb (Feet that a push has left apart come together; planners for a velocity and a goal)
         self._number = -1
 
     def due(
@@ -81,46 +78,29 @@ class StepDelivery:
     ) -> Plan | StepLaw | None:
         """Return what to send as answer to a state; None if the robot has all."""
         steps, now_ns = state.steps, state.stamp_ns
-<<<<<<< HEAD
         planning.note(now_ns)
-        if steps is None or now_ns - self._sent_ns < _INTERVAL_NS:
-=======
         if steps is None or now_ns - self._asked_ns < _INTERVAL_NS:
->>>>>>> 58adafb (Feet that a push has left apart come together; planners for a velocity and a goal)
             return None
         self._asked_ns = now_ns
         lacks_law = planning.sends_law and steps.law != planning.law_identity
         if lacks_law and now_ns - self._law_sent_ns >= self._retry_ns:
             self._law_sent_ns = now_ns
             return planning.law
-<<<<<<< HEAD
-        lacking = steps.plan < self._number and now_ns - self._sent_ns >= self._retry_ns
-        planner, steered = planning.planner, planning.steered
-        due = planner.reacts or steps.phase != self._planned_phase or steered != self._steered
-        if not due and not lacking:
-            return None
-        number = max(steps.plan, self._number) + 1
-        plan = planner.plan(state, com=_com(state, model), number=number)
-        self._planned_phase, self._steered = steps.phase, steered
-        if plan is None:
-            self._number = steps.plan
-            return None
-        self._sent_ns, self._number = now_ns, number
-=======
         lacking = steps.plan < self._number
         if not lacking and not self._arrived:
             self._arrived, self._round_trip_ns = True, now_ns - self._sent_ns
         retry_ns = max(self._retry_ns, 1.2 * self._round_trip_ns)
         lacking = lacking and now_ns - self._sent_ns >= retry_ns
-        due = planning.planner.reacts or steps.phase != self._planned_phase
+        planner, steered = planning.planner, planning.steered
+        due = planner.reacts or steps.phase != self._planned_phase or steered != self._steered
         if not due and not lacking:
             return None
+        self._steered = steered
         number = max(steps.plan, self._number) + 1
-        plan = planning.planner.plan(state, com=_com(state, model), number=number)
+        plan = planner.plan(state, com=_com(state, model), number=number)
         if plan is not None:
             self._sent_ns, self._number, self._planned_phase = now_ns, number, steps.phase
             self._arrived = False
->>>>>>> 58adafb (Feet that a push has left apart come together; planners for a velocity and a goal)
         return plan
 
 

@@ -38,8 +38,17 @@ _LANDING_TIMES = (0.1, 2.0)
 class PlanCache:
     """Takes in what comes on the key of plans, and gives it to the contact clock."""
 
-    def __init__(self, codec: Codec, robot: Robot, clock: ContactClock, *, session: int) -> None:
-        self.refused = RefusalCounter()
+    def __init__(
+        self,
+        codec: Codec,
+        robot: Robot,
+        clock: ContactClock,
+        *,
+        session: int,
+        refused: RefusalCounter | None = None,
+    ) -> None:
+        # A robot that begins anew goes on counting.
+        self.refused = RefusalCounter() if refused is None else refused
         self.law = 0
         self.plan = -1
         self._codec = PlanCodec(codec)

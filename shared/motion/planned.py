@@ -94,15 +94,15 @@ class PlannedMotion:
         self._ends = [phase.end_ns for phase in plan.phases]
         segments = [
             ZmpSegment(
-                phase.begin_ns * 1e-9, phase.end_ns * 1e-9, np.array(phase.cop), np.array(phase.cop)
+                phase.begin_ns * 1e-9, phase.end_ns * 1e-9, _level(phase.cop), _level(phase.cop)
             )
             for phase in plan.phases
         ]
         self._com = ComPlan(
             segments,
             omega=self._omega,
-            position=np.array(plan.com),
-            capture_point=np.array(plan.phases[-1].dcm),
+            position=_level(plan.com),
+            capture_point=_level(plan.phases[-1].dcm),
         )
         self._feet = list(_feet_by_phase(plan))
         self.digest = motion_digest(
@@ -145,6 +145,11 @@ class PlannedMotion:
     def stopped(self, time_ns: int) -> Motion:
         """Return itself: every plan ends in a stand."""
         return self
+
+
+def _level(point: tuple[float, float]) -> np.ndarray:
+    """A point of the ground, (3,)."""
+    return np.array((*point, 0.0))
 
 
 def other(foot: Foot) -> Foot:

@@ -95,6 +95,7 @@ def test_the_dcm_of_a_plan_is_continuous_and_comes_to_rest(robot, walk):
 def test_a_planned_motion_follows_its_plan(robot, walk):
     """The DCM of the reference is that of the plan, and the motion has no jump."""
     plan = WalkPlanner(robot, walk).plan(state(robot), com=at_rest(robot), number=0)
+    assert plan is not None
     motion, omega = PlannedMotion(plan, robot), Stance.of(robot).omega
     for phase in plan.phases[:-1]:
         reference = motion.reference(phase.end_ns - 1)

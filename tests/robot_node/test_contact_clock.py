@@ -1,0 +1,140 @@
+"""The contact clock: phases by time and by touch, and what a plan changes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from robot_node.node import RobotNode
+from robot_node.stepping import ContactClock, Measured
+from shared.motion.planned import Plan, PlannedPhase, PlanOrigin
+from shared.motion.stance import Stance
+from shared.motion.standing import Standing
+from shared.motion.step_law import make_step_law
+from shared.robots import Foot
+from shared.wbc.contacts import ContactMode
+from shared.wire.operator import Reset
+
+DOUBLE, LEFT = ContactMode.DOUBLE_SUPPORT, ContactMode.LEFT_SUPPORT
+MS = 1_000_000
+
+
+class Bench:
+    """A robot that stands still, with forces on its feet as the test wants them."""
+
+    def __init__(self, robot, model, config):
+        self.clock = ContactClock(robot, config)
+        self._now = model.kinematics(robot.q_standing, np.zeros(robot.model.nv))
+        self.force = dict.fromkeys(Foot, 200.0)
+        self.disturbance = np.zeros(2)
+        self.time_ns = 0
+
+    def run(self, ms):
+        for _ in range(ms):
+            forces = {foot: np.array([0.0, 0.0, force]) for foot, force in self.force.items()}
+            measured = Measured(self._now, self.disturbance, forces)
+            reference = self.clock.reference(measured, time_ns=self.time_ns)
+            self.time_ns += MS
+        return reference
+
+
+@pytest.fixture
+def config(configured):
+    return configured(**{"stepping.mode": "on", "wbc.balance.law": "dcm"})
+
+
+@pytest.fixture
+def bench(robot, model, config):
+    return Bench(robot, model, config)
+
+
+@pytest.fixture
+def plan(bench):
+    """100 ms on both feet, then a step of the right foot of 400 ms."""
+    left, right = bench.clock.feet[Foot.LEFT], bench.clock.feet[Foot.RIGHT]
+    goal = dataclasses.replace(right, x=right.x + 0.1)
+    return Plan(
+        number=0,
+        origin=PlanOrigin(1, 0, 0),
+        valid_until_ns=10**9,
+        feet=(left, right),
+        com=(0.03, 0.0),
+        phases=(
+            PlannedPhase(DOUBLE, 0, 100 * MS, None, (0.0, 0.0), (0.0, 0.06)),
+            PlannedPhase(LEFT, 100 * MS, 500 * MS, goal, (0.0, 0.096), (0.1, 0.0)),
+            PlannedPhase(DOUBLE, 500 * MS, 2500 * MS, None, (0.08, 0.0), (0.08, 0.0)),
+        ),
+    )
+
+
+def test_a_robot_at_rest_stands(bench, robot):
+    bench.clock.law = make_step_law(robot, Stance.of(robot))
+    reference = bench.run(300)
+    assert bench.clock.phase == 0
+    assert reference.mode is DOUBLE
+    assert reference.com == pytest.approx(Standing(robot).reference(0).com, abs=1e-6)
+
+
+def test_a_force_that_would_tip_the_robot_over_makes_it_step(bench, robot):
+    """0.5 m ahead is what 300 N shift the CoP by; without a law nothing can be done."""
+    bench.disturbance[0] = 0.5
+    assert bench.run(20).mode is DOUBLE
+    bench.clock.law = make_step_law(robot, Stance.of(robot))
+    reference = bench.run(10)
+    assert reference.mode is not DOUBLE
+    assert reference.com_command is not None
+    assert bench.clock.phase == 1
+
+
+def test_without_a_law_the_robot_steps_as_planned(bench, plan):
+    bench.clock.take(plan)
+    assert bench.run(95).mode is DOUBLE
+    bench.force[Foot.RIGHT] = 0.0
+    reference = bench.run(60)
+    assert (reference.mode, bench.clock.phase) == (LEFT, 1)
+    bench.run(300)
+    assert bench.clock.swing_path.goal == plan.phases[1].footprint
+
+
+def test_a_foot_that_lands_early_bears_at_once(bench, plan):
+    bench.clock.take(plan)
+    bench.run(110)
+    # In the first half of the swing the foot is still on its way up.
+    bench.force[Foot.RIGHT] = 60.0
+    assert bench.run(150).mode is LEFT
+    assert bench.run(80).mode is DOUBLE
+    assert bench.clock.phase == 2
+
+
+def test_a_foot_that_lands_late_goes_on_down(bench, plan):
+    bench.clock.take(plan)
+    bench.force[Foot.RIGHT] = 0.0
+    reference = bench.run(600)
+    assert reference.mode is LEFT
+    assert reference.swing.position[2] < -0.01
+    assert reference.swing.velocity[2] == pytest.approx(-0.15)
+    bench.force[Foot.RIGHT] = 60.0
+    assert bench.run(1).mode is DOUBLE
+
+
+def test_after_the_last_step_of_a_plan_the_robot_stands(bench, plan):
+    bench.clock.take(plan)
+    bench.force[Foot.RIGHT] = 0.0
+    bench.run(450)
+    bench.force[Foot.RIGHT] = 60.0
+    bench.run(400)
+    assert bench.clock.phase == 2
+    assert bench.clock.mode is DOUBLE
+
+
+def test_a_robot_that_begins_anew_has_neither_plan_nor_law(robot, config, motion):
+    node = RobotNode(robot, config, motion, session=1)
+    node.clock.phase = 3
+    node.clock.law = make_step_law(robot, Stance.of(robot))
+    node.plans.refused["stale"] += 1
+    node.prepare(Reset())()
+    assert node.clock.phase == 0
+    assert node.clock.law is None
+    assert node.refused["stale"] == 1
