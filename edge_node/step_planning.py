@@ -24,7 +24,7 @@ _INTERVAL_NS = 20_000_000
 
 
 class StepPlanning:
-    """What is the same for all robots of an edge: law, planner, standing posture."""
+    """The law, the planner and the standing posture, the same for all robots of an edge."""
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
         self.law: StepLaw = as_sent(make_step_law(robot, Stance.of(robot)))
@@ -63,7 +63,7 @@ class StepPlanning:
 
 
 class StepDelivery:
-    """What one start of a robot has been sent. Each state says what it has."""
+    """The law and the plans sent to one start of a robot, until its states say that it has them."""
 
     def __init__(self, retry_ns: int) -> None:
         self._retry_ns = retry_ns

@@ -55,7 +55,7 @@ class _Swing:
 
 @dataclass(slots=True)
 class Measured:
-    """What a decision rests on.
+    """The measurements that the clock needs in a tick.
 
     `kinematics` is that of the measured state, `disturbance` (2,) the external force as a shift of
     the CoP [m], `forces` (3,) those on the soles [N].

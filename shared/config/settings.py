@@ -383,7 +383,7 @@ class SteppingConfig:
 
     mode: str = setting(
         "off",
-        help="who decides on steps: nobody, the robot, or the edge alone",
+        help="decisions on steps: off, on the robot, or by the edge alone",
         choices=("off", "on", "edge"),
         flag="--stepping",
     )

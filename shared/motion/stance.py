@@ -1,4 +1,4 @@
-"""Where a robot rests over its feet, and what it needs to plan steps: a few lengths."""
+"""The robot at rest over its feet: the few lengths that plans of steps need."""
 
 from __future__ import annotations
 

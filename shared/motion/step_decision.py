@@ -24,8 +24,9 @@ from shared.wbc.reference import turned
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """What a decision rests on: the soles, the DCM and the external force as a shift of the CoP,
-    (2,) each, in the plan's frame [m].
+    """The state that a decision rests on, in the plan's frame.
+
+    It has the soles, and the DCM and the external force as a shift of the CoP, (2,) each [m].
     """
 
     feet: Mapping[Foot, Footprint]
@@ -81,7 +82,7 @@ class StepDecision:
         self._corners = {sole.side: sole.corners() for sole in robot.soles}
 
     def must_step(self, balance: Balance) -> bool:
-        """Return whether the DCM is about to leave the support, however the robot balances."""
+        """Return whether the DCM leaves the support soon, also under the best CoP."""
         corners = np.array(
             [
                 print_.to_world((x, y))
