@@ -19,12 +19,14 @@ from shared.config.settings import RunConfig
 from shared.errors import ConfigError, MessageRefused
 from shared.robots import Robot
 from shared.telemetry.schema import SOLVE_SCHEMA
-from shared.wbc.answer import TimedProjector
+from shared.wbc.answer import Projector, TimedProjector
+from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import WholeBodySolution
 from shared.wbc.qp import QpStatus
 from shared.wbc.reference import Motion, coming_switches
 from shared.wbc.torque import recover_torque
 from shared.wbc.whole_body import WholeBodyController
+from shared.wire.channels import DOWNLINK
 from shared.wire.codec import Codec
 from shared.wire.messages import (
     FactorisationMessage,
@@ -37,6 +39,8 @@ from shared.wire.plans import PlanCodec
 
 # Of the refresh distance, and at most so far [rad]: further ahead velocities tell little.
 _LEAD, _MAX_LEAD = 0.7, 0.05
+# Of a message of two projectors, what is not their numbers.
+_MESSAGE_BYTES = 2_500
 _STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 
 
@@ -164,7 +168,10 @@ class EdgeNode:
             mode=state.mode,
             tau=recover_torque(controller.model, contacts, state.q, state.v, y),
             y=y,
-            projectors=(controller.timed(projector, from_ns=state.time_ns), *self._prepared(state)),
+            projectors=(
+                controller.timed(projector, from_ns=state.time_ns),
+                *self._prepared(state, projector),
+            ),
         )
         return Answer(robot, state.sequence, solution, self._codec.encode_projector(message))
 
@@ -201,11 +208,14 @@ class EdgeNode:
         solution = WholeBodySolution(QpStatus.SOLVED, None, 0)
         return Answer(robot, state.sequence, solution, self._codec.encode_factorisations(message))
 
-    def _prepared(self, state: RobotState) -> tuple[TimedProjector, ...]:
-        """Projectors of the coming contact modes, shortly before the switches to them."""
+    def _prepared(self, state: RobotState, projector: Projector) -> tuple[TimedProjector, ...]:
+        """Projectors of the coming contact modes beside that of a state."""
         config = self._config.switch
         if not config.prepare_on_edge:
             return ()
+        if self._stepper is not None:
+            room = DOWNLINK.max_bytes - _MESSAGE_BYTES - 4 * projector.A_dagger.size
+            return self._prepared_for_steps(state, self._stepper, room=room)
         prepared = [
             self._controller.projector_for(
                 state.q, state.v, time_ns=switch_ns, com_command=state.com_command
@@ -214,3 +224,34 @@ class EdgeNode:
             if switch_ns - state.time_ns <= config.prepare_ns
         ]
         return tuple(timed for timed in prepared if timed is not None)
+
+    def _prepared_for_steps(
+        self, state: RobotState, stepper: StepPlanning, *, room: int
+    ) -> tuple[TimedProjector, ...]:
+        """The projector of a contact mode that a robot may enter by itself at any time.
+
+        On both feet those of its two feet take turns, because three are too long for a message. So
+        are two in double precision, or with more than `room` [bytes] for the second one's numbers.
+        """
+        if self._config.wire.projector_dtype != "float32":
+            return ()
+        mode = ContactMode.DOUBLE_SUPPORT
+        if state.mode is mode:
+            singles = (ContactMode.LEFT_SUPPORT, ContactMode.RIGHT_SUPPORT)
+            mode = singles[state.sequence % 2]
+        reference = stepper.reference(state)
+        if reference is not None:
+            reference.mode, reference.swing = mode, None
+        controller = self._controller
+        solution, _ = controller.solve(
+            state.q,
+            state.v,
+            time_ns=state.time_ns,
+            mode=mode,
+            com_command=state.com_command,
+            reference=reference,
+        )
+        projector = solution.projector
+        if projector is None or 4 * projector.A_dagger.size > room:
+            return ()
+        return (controller.timed(projector, from_ns=state.time_ns),)

@@ -53,7 +53,7 @@ class Velocity:
 
 
 class Planner(Protocol):
-    """Where a robot goes.
+    """The footsteps of a robot.
 
     It is asked until it has a plan for the present phase, and one that `reacts` also after that.
     """
