@@ -126,6 +126,7 @@ def commands() -> list[Subcommand | Group]:
     from benchmarks.__main__ import COMMANDS as BENCHMARKS
     from deploy.__main__ import COMMANDS as DEPLOY
     from experiments.__main__ import COMMANDS as EXPERIMENTS
+    from experiments.__main__ import PLANT_COMMANDS as PLANT
     from experiments.__main__ import ROBOT_COMMANDS as ROBOT
     from netem.__main__ import COMMANDS as NETEM
     from shared.process.cli import Group, Subcommand
@@ -138,6 +139,7 @@ def commands() -> list[Subcommand | Group]:
     return [
         *(link if each.name == "link" else each for each in DEPLOY),
         *(each for each in EXPERIMENTS if each.name != "link"),
+        Group("plant", "a plant of your own", PLANT),
         Group("robot", "a robot of your own", ROBOT),
         Group("netem", "the emulated link: profiles, importers, the shim", NETEM),
         Group("viewer", "watch a run, or look at finished runs", VIEWER),

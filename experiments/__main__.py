@@ -35,6 +35,8 @@ ROBOT_COMMANDS = (
     ),
 )
 
+PLANT_COMMANDS = (Subcommand("check", "check a plant", "experiments.plant_check", "plant_check"),)
+
 
 def main() -> int:
     return run_command(__doc__, COMMANDS)

@@ -139,7 +139,7 @@ def _played(name: str, play: Play) -> tuple[RunConfig, TrialResult]:
 
 
 def _problem(config: RunConfig, result: TrialResult, play: Play) -> list[str]:
-    """What is wrong with a trial, if anything is."""
+    """Return the faults of a trial."""
     if result.summary["fell"]:
         why = fall_in_words(result.summary["fall"], controller=config.controller)
         return [f"expected a robot that stands, it fell: {why}; {play.remedy}"]

@@ -21,7 +21,14 @@ from shared.robots import Foot, Robot
 
 
 class Plant(Protocol):
-    """A robot with a known state that advances by one timestep at a call."""
+    """A robot with a known state that advances by one timestep at a call.
+
+    It is made by `NAME(robot, config, timestep=…)`, from a `Robot`, the settings of `[plant]` and
+    the timestep [s], and begins in the standing configuration. States are in Pinocchio's convention
+    and in the order of the robot's model: q is the base's position in the world and its quaternion
+    x, y, z, w, then the joints [rad]; v is the base's linear and angular velocity in the base
+    frame, then the joints' [rad/s]. `robot_node/plant_checks.py` has the checks of a plant.
+    """
 
     def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
         """Put the robot at (q, v)."""

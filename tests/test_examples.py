@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from examples import own_controller, own_task, own_trace, sweep, trial
+from examples import own_controller, own_plant, own_task, own_trace, sweep, trial
 from netem.profile import LOST
 
 FOLDER = Path(trial.__file__).parent
@@ -68,3 +68,9 @@ def test_a_sweep_has_a_row_per_trial_and_goes_on_where_it_was(tmp_path, capsys):
     assert sweep.main(duration=0.02, folder=tmp_path, workers=1) == rows
     assert (tmp_path / "sweep-delays" / "trials.jsonl").read_bytes() == played
     assert "constant:120ms" in capsys.readouterr().out
+
+
+def test_the_robot_of_somebody_elses_model_stands_on_old_answers() -> None:
+    result = own_plant.main(duration=1.5)
+    assert not result.summary["fell"]
+    assert result.summary["projector_age_ms"]["p50"] > 100

@@ -18,7 +18,7 @@ from tests.robots.biped import write_biped
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]
-SHOWN = r"\./(?:wbc|deploy)/?((?: ?(?:netem|viewer|bench|robot))? ?[a-z][a-z-]*)"
+SHOWN = r"\./(?:wbc|deploy)/?((?: ?(?:netem|viewer|bench|plant|robot))? ?[a-z][a-z-]*)"
 # Of deploy/, what is no command of wbc.
 SCRIPTS = {"docs", "lint", "python", "setup", "test", "compose"}
 
