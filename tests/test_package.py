@@ -3,42 +3,19 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 import zipfile
-from typing import Any
 
 import pytest
 import yaml
 
 from remote_wbc import __version__
-from shared.process.entry import python
-from shared.toml_file import read_toml
 from tests.processes import ROOT
-
-PYPROJECT: dict[str, Any] = read_toml(ROOT / "pyproject.toml", what="the project")
-PROJECT: dict[str, Any] = PYPROJECT["project"]
-PACKAGES = sorted(
-    name.removesuffix("*")
-    for name in PYPROJECT["tool"]["setuptools"]["packages"]["find"]["include"]
-)
-# What setuptools imports is what the lock file names; it fetches nothing.
-BUILD = "import sys; from setuptools import build_meta; print(build_meta.build_wheel(sys.argv[1]))"
+from tests.wheel import PACKAGES, PROJECT, build
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
-    """Built from a copy: setuptools leaves folders beside the sources."""
-    copy, out = tmp_path_factory.mktemp("copy"), tmp_path_factory.mktemp("wheel")
-    for name in PACKAGES:
-        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "remote_wbc.py", PROJECT["readme"], *PROJECT["license-files"]):
-        shutil.copy(ROOT / name, copy)
-    built = subprocess.run(
-        python("-c", BUILD, str(out)), cwd=copy, capture_output=True, text=True, check=False
-    )
-    assert built.returncode == 0, built.stdout + built.stderr
-    return zipfile.ZipFile(out / built.stdout.split()[-1])
+    return zipfile.ZipFile(build(tmp_path_factory.mktemp("wheel")))
 
 
 def test_a_wheel_has_every_module_and_no_test(wheel: zipfile.ZipFile) -> None:
@@ -61,7 +38,7 @@ def test_a_wheel_has_the_data_that_the_code_reads(wheel: zipfile.ZipFile) -> Non
     data = {
         path.relative_to(ROOT).as_posix()
         for folder in PACKAGES
-        for suffix in ("toml", "npz", "html", "css", "js")
+        for suffix in ("toml", "npz", "txt", "urdf", "html", "css", "js")
         for path in (ROOT / folder).rglob(f"*.{suffix}")
     }
     assert len(data) > 100
