@@ -1,6 +1,6 @@
 """Your own plant: the robot of somebody else's MuJoCo model, `examples/biped.xml`.
 
-    ./deploy/python -m examples.own_plant
+./deploy/python -m examples.own_plant
 """
 
 from __future__ import annotations
