@@ -141,7 +141,7 @@ def _repeats_itself(make: Make, robot: Robot, timestep: float) -> Iterator[str]:
         for _ in range(_TICKS):
             plant.step(standing_torques(robot), push=_NO_PUSH)
         ends.append(plant.state()[0])
-    if not np.array_equal(*ends):
+    if not np.array_equal(ends[0], ends[1]):
         yield (
             "expected the same state after the same steps, it differs by "
             f"{np.abs(ends[0] - ends[1]).max():.2g}; set_state has to reset all that the plant "
