@@ -120,7 +120,10 @@ def test_la_gets_a_projector_for_a_step_that_nobody_has_planned(robot, walk):
             1, k, k, 0, DOUBLE, robot.q_standing, v, com_command=np.zeros(2), steps=report
         )
         edge.receive(codec.encode_state(state), k)
-        message = codec.decode_projector(edge.step().data)
+        answer = edge.step()
+        assert answer is not None
+        assert answer.data is not None
+        message = codec.decode_projector(answer.data)
         found |= {timed.projector.mode for timed in message.projectors}
     assert found == set(ContactMode)
 
