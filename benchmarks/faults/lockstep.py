@@ -15,7 +15,7 @@ from benchmarks.faults.cases import Case, Draw, Parameters
 from experiments.lockstep import Lockstep, TrialResult
 from shared.bus.base import Delivery, Inbox
 from shared.config.config_file import load_config
-from shared.config.settings import RunConfig
+from shared.config.settings import RobotConfig, RunConfig
 from shared.robots import CATALOGUE, load_robot
 
 _MS = 1_000_000
@@ -177,7 +177,10 @@ def _trial_of(
     axis = ("+y", "-y")[int(rng.integers(2))]
     settings["push"] = [f"100N@0.3s:0.2s:{axis}"] if pushed else []
     if not walks and turn % 8 == 7:
-        settings["robot.name"] = sorted(CATALOGUE)[turn // 8 % len(CATALOGUE)]
+        name = settings["robot.name"] = sorted(CATALOGUE)[turn // 8 % len(CATALOGUE)]
+        # What pushes the default robot may be too much for a smaller one.
+        if name != RobotConfig.name:
+            settings["push"] = []
     return {"controller": controller, "settings": settings}, settings
 
 

@@ -49,14 +49,15 @@ def test_all_of_every_robot_is_seen_from_the_start_to_the_end(
     eye, target = eye_and_target([config_of(robot, walk=walk)] * count)
     # One robot is followed.
     walk = 0.0 if count == 1 else walk
-    top = load_robot(robot).q_standing[2] * 1.75
+    base = load_robot(robot).q_standing[2]
+    top, arms, apart = 1.75 * base, 0.95 * base, 0.42 * base
     middles = (np.arange(count) - (count - 1) / 2) * SIDE_BY_SIDE
     points = np.array(
         [
             [along, middle + side, up]
             for along in (0.0, walk)
             for middle in middles
-            for side, up in ((-0.15, 0.0), (0.15, 0.0), (-0.35, 0.8), (0.35, 0.8), (0.0, top))
+            for side, up in ((-0.15, 0.0), (0.15, 0.0), (-apart, arms), (apart, arms), (0.0, top))
         ]
     )
     seen = in_picture(points, eye, target)

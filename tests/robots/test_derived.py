@@ -1,0 +1,50 @@
+"""The rule from mass and geometry to settings, and the robots whose files follow it."""
+
+from __future__ import annotations
+
+import pytest
+
+from shared.config.config_file import load_config
+from shared.config.settings import RunConfig
+from shared.robots import load_robot
+from shared.robots.derived import derived_settings
+
+# iCub's push is tuned: its file says why.
+TUNED = {("icub", "balance", "push")}
+
+
+def stated(table, where=""):
+    """The settings of a table by dotted key."""
+    flat: dict[str, object] = {}
+    for key, value in table.items():
+        dotted = f"{where}{key}"
+        flat |= stated(value, f"{dotted}.") if isinstance(value, dict) else {dotted: value}
+    return flat
+
+
+@pytest.mark.parametrize("name", ["g1", "icub"])
+def test_the_file_of_a_robot_has_the_settings_of_the_rule(name):
+    robot = load_robot(name)
+    for task, expected in derived_settings(robot).items():
+        found = stated(robot.description.settings[task])
+        assert found.keys() == expected.keys()
+        for key, value in expected.items():
+            if (name, task, key) not in TUNED:
+                assert found[key] == value
+
+
+def test_the_rule_gives_the_default_robot_about_its_own_settings(robot):
+    settings, default = derived_settings(robot), RunConfig()
+    assert settings["balance"]["push"] == ["102N@1.0s:0.2s:+y"]  # 100 N
+    assert settings["balance"]["wbc.weights.force"] == default.wbc.weights.force
+    assert settings["walk"]["walk.step_length"] == pytest.approx(
+        default.walk.step_length, abs=0.011
+    )
+    assert settings["walk"]["walk.step_duration"] == pytest.approx(
+        default.walk.step_duration, abs=0.02
+    )
+
+
+@pytest.mark.parametrize("task", ["balance", "walk"])
+def test_the_settings_of_the_rule_are_settings_of_a_run(robot, task):
+    assert load_config(None, {"task": task, **derived_settings(robot)[task]}).task == task
