@@ -74,7 +74,7 @@ class Gamepad:
 
 
 class Hand:
-    """What the hand on the keys wants: the last key, until it is let go."""
+    """The wish of the hand on the keys: the last key, until it is let go."""
 
     def __init__(self) -> None:
         self._wanted = _STOP
