@@ -9,11 +9,9 @@ d from the outer edge of a foot. A leg reaches r.
 * `push` for 0.2 s moves the capture point by m⁻¹ω⁻¹ F 0.2 s, to the part `_PUSHED` of d.
 * `walk.step_length` is the part `_STRIDE` of the legs' reach to both sides, 2 r.
 * `walk.step_duration` is `_STEP`/ω, because the DCM diverges by e^{ωT} in a step.
-* `wbc.gains.contact_damping` is the half of the value at which a robot falls over 25 ms with LA:
-  with a stale active set, a larger one rolls a foot from edge to edge. It depends on the delay, not
-  on the robot, so it is a constant.
-* `wbc.weights.com` is 10 in a walk. With 1, as the weight of the base's orientation, a robot whose
-  soles are narrow beside its stance keeps its trunk upright rather than its CoM on the plan.
+* `wbc.gains.contact_damping` is a constant: half of the value at which Talos falls over 25 ms with
+  LA, where a foot rolls from edge to edge on a stale active set. No rule for it is known.
+* `wbc.weights.com` is 10 in a walk, a constant found with G1 and iCub, which fall with 1.
 * `robot.torque_clamp` is 1, the URDF's own limits.
 
 Gains are per unit of mass, and need no rule.
