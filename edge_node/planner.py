@@ -452,4 +452,9 @@ def make_planner(robot: Robot, config: RunConfig, law: StepLaw) -> Planner:
         return ReactivePlanner(robot, config, law) if alone else StandingPlanner(robot, config)
     if config.task == "walk":
         return WalkPlanner(robot, config)
-    raise ConfigError(f"stepping: expected the task balance or walk, got {config.task!r}")
+    if config.task == "go":
+        planner = PathPlanner(robot, config)
+        place = config.walk.place
+        planner.goal = (place.x, place.y, place.yaw)
+        return planner
+    raise ConfigError(f"stepping: expected the task balance, walk or go, got {config.task!r}")

@@ -630,9 +630,14 @@ class RunConfig:
                 "plant.kind: expected mujoco for a robot that steps, because the feet of a rigid "
                 "plant are welded to the floor, got 'rigid'"
             )
-        if self.task not in ("balance", "walk"):
+        if self.task not in ("balance", "walk", "go"):
             raise ConfigError(
-                f"stepping.mode: expected the task balance or walk, got {self.task!r}"
+                f"stepping.mode: expected the task balance, walk or go, got {self.task!r}"
+            )
+        if parse_ground(self.ground).kind != "flat":
+            raise ConfigError(
+                "ground: expected flat for a robot that decides on its steps, because its plans "
+                f"have no heights, got {self.ground!r}; try --unknown-ground, or --stepping off"
             )
 
     @cached_property

@@ -471,3 +471,25 @@ def test_a_byte_order_mark_before_a_settings_file_does_not_matter(tmp_path):
     path = tmp_path / "run.toml"
     path.write_bytes("\ufeffseed = 3\n".encode())
     assert read_toml(path, what="settings") == {"seed": 3}
+
+
+STEPPING = {"stepping.mode": "on", "wbc.balance.law": "dcm"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "error"),
+    [
+        ({"stepping.mode": "on"}, "expected wbc"),
+        ({**STEPPING, "plant.kind": "rigid"}, "expected mujoco"),
+        ({**STEPPING, "task": "go", "ground": "stairs:3x6cm"}, "expected flat"),
+    ],
+)
+def test_a_robot_that_cannot_step_as_asked_is_refused(asked, error):
+    with pytest.raises(ConfigError, match=error):
+        load_config(None, asked)
+
+
+def test_both_ends_must_agree_on_steps():
+    on = load_config(None, STEPPING)
+    assert on.digest != load_config(None, {"wbc.balance.law": "dcm"}).digest
+    assert load_config(None, {**STEPPING, "stepping.ahead": 0.1}).digest != on.digest

@@ -8,7 +8,13 @@ import math
 import numpy as np
 import pytest
 
-from edge_node.planner import PathPlanner, StandingPlanner, Velocity, WalkPlanner
+from edge_node.planner import (
+    PathPlanner,
+    StandingPlanner,
+    Velocity,
+    WalkPlanner,
+    make_planner,
+)
 from shared.motion.footsteps import standing_footprints
 from shared.motion.planned import PlannedMotion
 from shared.motion.stance import Stance, middle
@@ -164,3 +170,12 @@ def test_feet_that_stand_apart_come_together(robot, walk):
     after = {each.foot: each for each in plan.footprints()}
     assert after[Foot.LEFT].x == pytest.approx(after[Foot.RIGHT].x, abs=1e-9)
     assert after[Foot.LEFT].y - after[Foot.RIGHT].y == pytest.approx(Stance.of(robot).width)
+
+
+def test_the_task_go_has_the_goal_of_the_settings(robot, configured):
+    settings = {"stepping.mode": "on", "wbc.balance.law": "dcm", "walk.goal": "0.3,0.1,20deg"}
+    config = configured(**{"task": "go", "wire.projector_dtype": "float32", **settings})
+    planner = make_planner(robot, config, make_step_law(robot, Stance.of(robot)))
+    plan = planner.plan(state(robot), com=at_rest(robot), number=0)
+    assert plan is not None
+    assert ends(plan) == pytest.approx((0.3, 0.1, math.radians(20.0)), abs=0.03)
