@@ -173,6 +173,7 @@ class StandingPlanner:
             report,
             state.mode,
             (0.0, 0.0, 0.0),
+            dcm=com[0] + com[1] / self._build.stance.omega,
             steps=2,
             width=self._build.stance.width,
             lead=Foot.LEFT,
@@ -285,6 +286,7 @@ class WalkPlanner:
             report,
             state.mode,
             advance,
+            dcm=com[0] + com[1] / self._build.stance.omega,
             steps=min(left, _MAX_STEPS),
             width=width,
             lead=_lead(walk.step_sideways, walk.step_turn),
@@ -343,6 +345,7 @@ class PathPlanner:
             report,
             state.mode,
             advance,
+            dcm=com[0] + com[1] / self._build.stance.omega,
             steps=max(steps, 1),
             width=self._walk.step_width or self._build.stance.width,
             lead=_lead(advance[1], advance[2]),
@@ -404,19 +407,24 @@ def footsteps(
     mode: ContactMode,
     advance: tuple[float, float, float],
     *,
+    dcm: np.ndarray,
     steps: int,
     width: float,
     lead: Foot,
 ) -> list[Footprint]:
     """Footprints of steps that advance by (length, sideways, turn) each, from a robot's feet on.
 
-    The last one brings the feet together. `lead` is the first foot of a robot that has not moved.
+    The last one brings the feet together. `lead` is the first foot of a robot that has not moved,
+    `dcm` (2,) its DCM.
     """
     feet = {each.foot: each for each in report.feet}
     if mode is not ContactMode.DOUBLE_SUPPORT:
         swing = next(each for each, during in SUPPORT_MODE.items() if during is mode)
     elif report.phase == 0:
         swing = lead
+    elif report.phase_ns * 1e-9 < _STANDS:
+        # The robot has just landed, and its DCM is on its way to the foot that bears next.
+        swing = max(Foot, key=lambda foot: math.dist(dcm, (feet[foot].x, feet[foot].y)))
     else:
         # The foot that is behind on the path.
         x, y, yaw = middle(feet)

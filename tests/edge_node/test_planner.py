@@ -179,3 +179,20 @@ def test_the_task_go_has_the_goal_of_the_settings(robot, configured):
     plan = planner.plan(state(robot), com=at_rest(robot), number=0)
     assert plan is not None
     assert ends(plan) == pytest.approx((0.3, 0.1, math.radians(20.0)), abs=0.03)
+
+
+@pytest.mark.parametrize("landed", list(Foot))
+def test_in_place_the_feet_take_turns(robot, configured, landed):
+    """The feet are side by side. The DCM goes to the foot that has just landed, so the other one
+    lifts.
+    """
+    settings = {"stepping.mode": "on", "wbc.balance.law": "dcm", "walk.step_length": 0.0}
+    config = configured(**{"task": "walk", "wire.projector_dtype": "float32", **settings})
+    com = at_rest(robot)
+    com[0, 1] = 0.03 if landed is Foot.LEFT else -0.03
+    report = state(robot, phase=2, phase_ns=10_000_000)
+    plan = WalkPlanner(robot, config).plan(report, com=com, number=0)
+    assert plan is not None
+    first, second, *_ = plan.footprints()
+    assert second.foot is landed
+    assert first.foot is not landed
