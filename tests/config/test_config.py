@@ -128,7 +128,7 @@ def test_a_robot_changes_the_defaults_of_a_task_and_a_file_and_flags_those_of_th
 @pytest.mark.parametrize(
     ("text", "output"),
     [
-        ('[robot]\nname = "juliet"', "robot: expected one of romeo, talos, got 'juliet'"),
+        ('[robot]\nname = "juliet"', "robot: expected one of g1, icub, romeo, talos, got 'juliet'"),
         ("[robot]\nname = [1]", "robot.name: expected str"),
         ('robot = "talos"', "robot: expected a table of settings"),
         ('task = ["walk"]', "task: expected str"),
