@@ -25,10 +25,10 @@ from benchmarks.timing import header
 from experiments.lockstep import Lockstep
 from experiments.reproduction.timed_walk import timed
 from shared.config.config_file import load_config
-from shared.config.extensions import TASKS
 from shared.output.text_table import aligned
 
 _NETWORK = "constant:25ms"
+_TASKS = ("balance", "walk")
 _CONTROLLERS = ("pr", "la", "lc")
 _TICK = ("controller", "robot", "edge", "plant", "telemetry", "link")
 
@@ -58,7 +58,7 @@ def run(*, repetitions: int, seconds: float | None) -> str:
         ["", "simulated", "trials/min", "× real time", *_TICK, "tick", "start-up", "summary"],
         ["", "[s]", "per core", "", *["[ms]"] * (len(_TICK) + 3)],
     ]
-    for task in TASKS.own:
+    for task in _TASKS:
         for controller in _CONTROLLERS:
             timed_trial(task, controller, seconds=0.2)  # warms caches and imports
             each = [timed_trial(task, controller, seconds=seconds) for _ in range(repetitions)]

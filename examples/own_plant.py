@@ -1,6 +1,8 @@
 """Your own plant: the robot of somebody else's MuJoCo model, `examples/biped.xml`.
 
-./deploy/python -m examples.own_plant
+    ./deploy/python -m examples.own_plant
+
+It plays one push with the model as the plant, and says whether the robot stands.
 """
 
 from __future__ import annotations

@@ -176,6 +176,8 @@ def _standing(make: Make, robot: Robot, timestep: float) -> Plant:
     hold = JointHold(robot, timestep=timestep)
     for _ in range(_SETTLED):
         q, v = plant.state()
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            break
         hold.observe(q)
         plant.step(hold.torque(q, v), push=_NO_PUSH)
     return plant

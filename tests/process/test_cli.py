@@ -228,5 +228,7 @@ def test_an_entry_point_without_a_view_has_the_same_run():
 
 def test_the_robot_is_one_of_the_catalogue(config_of):
     assert config_of("--robot", "talos").robot.name == "talos"
-    with pytest.raises(ConfigError, match=r"robot: expected one of g1, icub, romeo, talos, got 'juliet'"):
+    with pytest.raises(
+        ConfigError, match=r"robot: expected one of g1, icub, romeo, talos, got 'juliet'"
+    ):
         config_of("--robot", "juliet")

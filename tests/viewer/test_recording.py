@@ -107,7 +107,7 @@ def swap_tables(run: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (spoil_config, "robot: expected one of romeo"),
+        (spoil_config, "robot: expected one of g1, icub, romeo"),
         (remove_telemetry, "got one without telemetry.parquet"),
         (spoil_telemetry, "cannot read"),
         (spoil_columns, "cannot read"),
