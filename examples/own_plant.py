@@ -2,7 +2,7 @@
 
     ./deploy/python -m examples.own_plant
 
-It plays one push with the model as the plant, and says whether the robot stands.
+The model has another order of joints, and gears. Its class is a `robot_node.plant.Plant`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ FOLDER, FEET = Path(__file__).parent, {foot: f"{foot.value}_foot" for foot in Fo
 
 
 class MjcfPlant:
-    """A model with another order of joints, and gears: see `robot_node.plant.Plant`."""
-
     def __init__(self, robot: Robot, config: PlantConfig, *, timestep: float) -> None:
         self._model = model = mujoco.MjModel.from_xml_path(str(FOLDER / "biped.xml"))
         model.opt.timestep, self._data = timestep, mujoco.MjData(model)

@@ -49,8 +49,8 @@ _MAX_BYTES = 20_000_000
 class Patch:
     """A rectangle of ground, `x` and `y` from … to [m].
 
-    It has the height `z` [m] at the lower end of `x`, and rises by `rise` along x [m/m]. No foot may be set on it
-    unless it is `allowed`, as it is not in a hole.
+    It has the height `z` [m] at the lower end of `x`, and rises by `rise` along x [m/m]. No foot
+    may be set on it unless it is `allowed`, as it is not in a hole.
     """
 
     x: tuple[float, float]
