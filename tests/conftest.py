@@ -10,6 +10,7 @@ from __future__ import annotations
 import shared.process.native_libraries  # noqa: F401
 
 # isort: on
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -41,6 +42,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     be_late(config)
+    # The terminal of the caller is not that of the tests.
+    os.environ["TERM"] = "xterm"
+    for name in ("NO_COLOR", "COLUMNS", "LINES"):
+        os.environ.pop(name, None)
 
 
 @pytest.fixture(scope="session")

@@ -391,7 +391,9 @@ def test_a_stop_that_takes_long_says_what_it_waits_for_and_can_be_cut_short(
 
     async def scenario(run: Run):
         await run.start("netem", SLEEPS)
-        await run.start("edge", "print('READY', flush=True); " + DEAF)
+        # Deaf before it is ready, so that no signal comes too early.
+        ready = "print('READY', flush=True); time.sleep"
+        await run.start("edge", DEAF.replace("time.sleep", ready))
         stopping = asyncio.create_task(run.supervisor.stop())
         waits = "up: waits for edge (pid "
         while not any(line.startswith(waits) for line in run.output):
