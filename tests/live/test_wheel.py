@@ -57,6 +57,6 @@ def test_a_package_made_by_new_is_installed_and_used_by_its_name(wbc, programs, 
     wbc("new", "robot", "boxes")
     for name in ("swaying", "boxes"):
         install(programs, tmp_path / name)
-    assert "balance, walk, swaying" in " ".join(wbc("trial", "--help").split())
+    assert "balance, walk, go, swaying" in " ".join(wbc("trial", "--help").split())
     said = wbc("trial", "--task", "swaying", "--robot", "boxes", "--duration", "0.3")
     assert "Stands after 0.30 s of swaying" in said
