@@ -12,29 +12,23 @@ from typing import Protocol
 
 import numpy as np
 
-from shared.config.settings import RunConfig, WalkConfig
+from edge_node.footstep_plan import VALID_NS, FootstepBuilder
+from shared.config.settings import RunConfig
 from shared.errors import ConfigError
-from shared.motion.footprint import Footprint
-from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin, other
-from shared.motion.stance import Stance, middle
+from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin
+from shared.motion.stance import middle
 from shared.motion.step_decision import Balance, InAir, StepDecision
 from shared.motion.step_law import StepLaw
-from shared.robots import Foot, Robot
+from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
 from shared.wire.operator import DRIVE_NS, EdgeCommand, Go
 
-# A plan is of use for so long after its state [ns].
-_VALID_NS = 1_000_000_000
 # Steps of one plan at most, before it comes to a stand.
 _MAX_STEPS = 8
-# A robot on both feet for longer than between two steps stands [s].
-_STANDS = 0.2
 # After the last step, the time before the feet come together [ns], and the distance of feet that
 # are [m].
 _BEFORE_TOGETHER_NS, _TOGETHER = 1_000_000_000, 0.06
-# The CoP of a weight shift is at most as far from the DCM [m].
-_FARTHEST_COP = 0.3
 # Steps of a plan towards a velocity, before its stand.
 _VELOCITY_STEPS = 4
 # The most that a step advances: forward and sideways [m], turning [rad].
@@ -68,88 +62,6 @@ class Planner(Protocol):
         ...
 
 
-class FootstepBuilder:
-    """Puts footprints into a plan, with the CoP and DCM of each phase."""
-
-    def __init__(self, robot: Robot, config: WalkConfig, *, double_support: float) -> None:
-        self.stance = Stance.of(robot)
-        self._config = config
-        self._double_support = double_support
-
-    def plan(
-        self,
-        report: StepReport,
-        mode: ContactMode,
-        footprints: list[Footprint],
-        *,
-        com: np.ndarray,
-        origin: PlanOrigin,
-        stamp_ns: int,
-        number: int,
-    ) -> Plan:
-        """Return the plan that puts the feet down on `footprints`, one after the other.
-
-        If a foot is in the air, the first one is where it lands.
-        """
-        omega, config = self.stance.omega, self._config
-        single = config.step_duration - self._double_support
-        feet = {each.foot: each for each in report.feet}
-        elapsed = report.phase_ns * 1e-9
-        # (mode, duration, footprint, CoP)
-        spans: list[tuple[ContactMode, float, Footprint | None, np.ndarray | None]] = []
-        if mode is ContactMode.DOUBLE_SUPPORT:
-            # A robot that stands has to shift its weight first.
-            stands = report.phase == 0 or elapsed > _STANDS
-            shift = elapsed + config.begin_duration if stands else self._double_support
-            spans.append((mode, max(shift, elapsed + 0.02), None, None))
-        for goal in footprints:
-            support = feet[other(goal.foot)]
-            duration = single
-            if not spans:
-                duration = max(single, elapsed + 0.1)
-            cop = support.to_world(self.stance.cop_in_sole)
-            spans.append((SUPPORT_MODE[goal.foot], duration, goal, cop))
-            feet[goal.foot] = goal
-            following = feet[goal.foot].to_world(self.stance.cop_in_sole)
-            spans.append(
-                (ContactMode.DOUBLE_SUPPORT, self._double_support, None, (cop + following) / 2)
-            )
-        rest = self.stance.rest_over(feet)
-        spans[-1] = (ContactMode.DOUBLE_SUPPORT, config.end_duration, None, rest)
-        # Backwards from rest: the DCM at the end of each phase.
-        ends = [rest]
-        for _, duration, _, cop in reversed(spans[1:]):
-            assert cop is not None
-            ends.append(cop + (ends[-1] - cop) * math.exp(-omega * duration))
-        ends.reverse()
-        if spans[0][3] is None:
-            # The one CoP that brings the DCM from where it is to where the first step wants it.
-            mode, duration, goal_, _ = spans[0]
-            left = max(0.02, duration - elapsed)
-            growth = math.exp(omega * left)
-            dcm = com[0] + com[1] / omega
-            shift = (dcm - ends[0]) / (growth - 1.0)
-            # With little time left no real CoP would do, and the step law does the rest.
-            shift *= min(1.0, _FARTHEST_COP / max(1e-9, math.hypot(*shift.tolist())))
-            spans[0] = (mode, duration, goal_, dcm + shift)
-        phases, begin_ns = [], 0
-        for (mode, duration, goal_, at), dcm in zip(spans, ends, strict=True):
-            assert at is not None
-            end_ns = begin_ns + round(duration * 1e9)
-            points = (float(at[0]), float(at[1])), (float(dcm[0]), float(dcm[1]))
-            phases.append(PlannedPhase(mode, begin_ns, end_ns, goal_, *points))
-            begin_ns = end_ns
-        return Plan(
-            number=number,
-            origin=origin,
-            valid_until_ns=stamp_ns + _VALID_NS,
-            feet=report.feet,
-            com=(float(com[0, 0]), float(com[0, 1])),
-            phases=tuple(phases),
-            swing_height=config.swing_height,
-        )
-
-
 class StandingPlanner:
     """The robot stands, and steps only if its step law says so.
 
@@ -159,9 +71,7 @@ class StandingPlanner:
     reacts = False
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
-        self._build = FootstepBuilder(
-            robot, config.walk, double_support=config.stepping.double_support
-        )
+        self._build = FootstepBuilder(robot, config)
 
     def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
         report = state.steps
@@ -169,23 +79,13 @@ class StandingPlanner:
             return None
         if report.phase_ns < _BEFORE_TOGETHER_NS or self._together(report):
             return None
-        footprints = footsteps(
-            report,
-            state.mode,
+        return self._build.steps(
+            state,
             (0.0, 0.0, 0.0),
-            dcm=com[0] + com[1] / self._build.stance.omega,
+            com=com,
+            number=number,
             steps=2,
             width=self._build.stance.width,
-            lead=Foot.LEFT,
-        )
-        return self._build.plan(
-            report,
-            state.mode,
-            footprints,
-            com=com,
-            origin=PlanOrigin(state.session, state.sequence, report.phase),
-            stamp_ns=state.stamp_ns,
-            number=number,
         )
 
     def _together(self, report: StepReport) -> bool:
@@ -251,7 +151,7 @@ class ReactivePlanner:
         return Plan(
             number=number,
             origin=PlanOrigin(state.session, state.sequence, report.phase),
-            valid_until_ns=state.stamp_ns + _VALID_NS,
+            valid_until_ns=state.stamp_ns + VALID_NS,
             feet=report.feet,
             com=(float(com[0, 0]), float(com[0, 1])),
             phases=tuple(phases),
@@ -267,9 +167,7 @@ class WalkPlanner:
     reacts = False
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
-        self._build = FootstepBuilder(
-            robot, config.walk, double_support=config.stepping.double_support
-        )
+        self._build = FootstepBuilder(robot, config)
         self._walk = config.walk
 
     def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
@@ -281,24 +179,8 @@ class WalkPlanner:
         if left <= 0:
             return None
         advance = (walk.step_length, walk.step_sideways, walk.step_turn)
-        width = walk.step_width or self._build.stance.width
-        footprints = footsteps(
-            report,
-            state.mode,
-            advance,
-            dcm=com[0] + com[1] / self._build.stance.omega,
-            steps=min(left, _MAX_STEPS),
-            width=width,
-            lead=_lead(walk.step_sideways, walk.step_turn),
-        )
-        return self._build.plan(
-            report,
-            state.mode,
-            footprints,
-            com=com,
-            origin=PlanOrigin(state.session, state.sequence, report.phase),
-            stamp_ns=state.stamp_ns,
-            number=number,
+        return self._build.steps(
+            state, advance, com=com, number=number, steps=min(left, _MAX_STEPS)
         )
 
 
@@ -317,9 +199,7 @@ class PathPlanner:
         # A velocity by command has been given again since the last state, or holds until this time.
         self._renewed = False
         self._until_ns: int | None = None
-        self._build = FootstepBuilder(
-            robot, config.walk, double_support=config.stepping.double_support
-        )
+        self._build = FootstepBuilder(robot, config)
         self._walk = config.walk
 
     def steer(self, command: EdgeCommand) -> bool:
@@ -341,24 +221,7 @@ class PathPlanner:
         in_air = state.mode is not ContactMode.DOUBLE_SUPPORT
         if steps == 0 and not in_air:
             return None
-        footprints = footsteps(
-            report,
-            state.mode,
-            advance,
-            dcm=com[0] + com[1] / self._build.stance.omega,
-            steps=max(steps, 1),
-            width=self._walk.step_width or self._build.stance.width,
-            lead=_lead(advance[1], advance[2]),
-        )
-        return self._build.plan(
-            report,
-            state.mode,
-            footprints,
-            com=com,
-            origin=PlanOrigin(state.session, state.sequence, report.phase),
-            stamp_ns=state.stamp_ns,
-            number=number,
-        )
+        return self._build.steps(state, advance, com=com, number=number, steps=max(steps, 1))
 
     def expires(self, now_ns: int) -> bool:
         """Let a velocity that was not given again for `DRIVE_NS` end. Return whether it ends now.
@@ -396,61 +259,6 @@ def _bounded(advance: tuple[float, float, float]) -> tuple[float, float, float]:
     """The same advance, made smaller as a whole so that each part is within what a step can do."""
     ratio = max(1.0, *(abs(each) / most for each, most in zip(advance, _MOST, strict=True)))
     return advance[0] / ratio, advance[1] / ratio, advance[2] / ratio
-
-
-def _lead(sideways: float, turn: float) -> Foot:
-    return Foot.RIGHT if (sideways or turn) < 0 else Foot.LEFT
-
-
-def footsteps(
-    report: StepReport,
-    mode: ContactMode,
-    advance: tuple[float, float, float],
-    *,
-    dcm: np.ndarray,
-    steps: int,
-    width: float,
-    lead: Foot,
-) -> list[Footprint]:
-    """Footprints of steps that advance by (length, sideways, turn) each, from a robot's feet on.
-
-    The last one brings the feet together. `lead` is the first foot of a robot that has not moved,
-    `dcm` (2,) its DCM.
-    """
-    feet = {each.foot: each for each in report.feet}
-    if mode is not ContactMode.DOUBLE_SUPPORT:
-        swing = next(each for each, during in SUPPORT_MODE.items() if during is mode)
-    elif report.phase == 0:
-        swing = lead
-    elif report.phase_ns * 1e-9 < _STANDS:
-        # The robot has just landed, and its DCM is on its way to the foot that bears next.
-        swing = max(Foot, key=lambda foot: math.dist(dcm, (feet[foot].x, feet[foot].y)))
-    else:
-        # The foot that is behind on the path.
-        x, y, yaw = middle(feet)
-        behind = {
-            foot: math.cos(yaw) * (each.x - x) + math.sin(yaw) * (each.y - y)
-            for foot, each in feet.items()
-        }
-        swing = min(behind, key=lambda foot: behind[foot])
-    made = []
-    for k in range(steps):
-        support = feet[other(swing)]
-        side = 0.5 * width if swing is Foot.LEFT else -0.5 * width
-        # The path goes through the middle: half a width beside the bearing foot.
-        yaw = support.yaw
-        x = support.x - math.sin(yaw) * side
-        y = support.y + math.cos(yaw) * side
-        if k < steps - 1:
-            c, s = math.cos(yaw), math.sin(yaw)
-            x += c * advance[0] - s * advance[1]
-            y += s * advance[0] + c * advance[1]
-            yaw += advance[2]
-        goal = Footprint(swing, x - math.sin(yaw) * side, y + math.cos(yaw) * side, yaw)
-        made.append(goal)
-        feet[swing] = goal
-        swing = other(swing)
-    return made
 
 
 def make_planner(robot: Robot, config: RunConfig, law: StepLaw) -> Planner:

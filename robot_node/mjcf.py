@@ -110,20 +110,11 @@ def _around(ground: Ground) -> list[Patch]:
 
 def _block(patch: Patch) -> dict[str, str]:
     """The attributes of a box whose upper side is a patch of ground."""
-    tilt = math.atan(patch.rise)
-    half = np.array(
-        [
-            (patch.x[1] - patch.x[0]) / 2 / math.cos(tilt),
-            (patch.y[1] - patch.y[0]) / 2,
-            (patch.z - HOLE + _THICKNESS) / 2,
-        ]
-    )
-    top = np.array([sum(patch.x) / 2, sum(patch.y) / 2, patch.middle])
-    down = half[2] * np.array([math.sin(tilt), 0.0, -math.cos(tilt)])
+    centre, half, tilt = patch.box((patch.z - HOLE + _THICKNESS) / 2)
     return {
         "type": "box",
         "size": _numbers(half),
-        "pos": _numbers(top + down),
+        "pos": _numbers(centre),
         "quat": _numbers([math.cos(tilt / 2), 0.0, -math.sin(tilt / 2), 0.0]),
     }
 

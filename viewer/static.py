@@ -153,12 +153,9 @@ def log_ground(recorder: Recorder, ground: Ground) -> None:
     bottom = min(0.0, *(min(patch.z, patch.middle) for patch in patches)) - _GROUND_DEPTH
     centres, halves, turns = [], [], []
     for patch in patches:
-        tilt = math.atan(patch.rise)
-        half = (patch.middle - bottom) / 2
-        down = half * np.array([math.sin(tilt), 0.0, -math.cos(tilt)])
-        centres.append(np.array([sum(patch.x) / 2, sum(patch.y) / 2, patch.middle]) + down)
-        length = (patch.x[1] - patch.x[0]) / math.cos(tilt)
-        halves.append([length / 2, (patch.y[1] - patch.y[0]) / 2, half])
+        centre, half, tilt = patch.box((patch.middle - bottom) / 2)
+        centres.append(centre)
+        halves.append(half)
         turns.append([0.0, -math.sin(tilt / 2), 0.0, math.cos(tilt / 2)])
     boxes = rr.Boxes3D(
         centers=centres,

@@ -64,6 +64,17 @@ class Patch:
         """Height in the middle [m]."""
         return self.z + self.rise * (self.x[1] - self.x[0]) / 2
 
+    def box(self, half_height: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return centre (3,) and half sizes (3,) [m] of a box with the patch as its upper side.
+
+        The third value is the angle by which its x axis points upwards [rad].
+        """
+        tilt = math.atan(self.rise)
+        length = (self.x[1] - self.x[0]) / 2 / math.cos(tilt)
+        half = np.array([length, (self.y[1] - self.y[0]) / 2, half_height])
+        top = np.array([sum(self.x) / 2, sum(self.y) / 2, self.middle])
+        return top + half_height * np.array([math.sin(tilt), 0.0, -math.cos(tilt)]), half, tilt
+
 
 @dataclass(frozen=True)
 class Ground:

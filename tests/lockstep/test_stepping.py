@@ -9,16 +9,12 @@ from experiments.lockstep import Lockstep
 from shared.config.config_file import load_config
 from shared.errors import ConfigError
 from shared.wbc.contacts import ContactMode
+from tests.lockstep.test_pushes import ITS_LIMITS
 
 STEPS = {
     "controller": "lc",
     "link.network": "constant:10ms",
-    "plant.joint_limits": True,
-    "plant.leg_collision": True,
-    "wbc.limits.torque": True,
-    "wbc.limits.position": True,
-    "wbc.balance.law": "dcm",
-    "wbc.weights.com": 10.0,
+    **ITS_LIMITS,
     "wbc.weights.swing_foot": 3.0,
     "stepping.mode": "on",
 }
