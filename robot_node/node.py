@@ -12,12 +12,13 @@ tick never raises: errors are counted by name.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from robot_node.cache import AnswerCache
+from robot_node.controller_slot import ControllerSlot, OtherController
 from robot_node.controllers import (
     Command,
     Controller,
@@ -52,7 +53,7 @@ from shared.wbc.contacts import ContactMode
 from shared.wbc.limits import Limits
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference
-from shared.wbc.stack import Stack, make_stacks
+from shared.wbc.stack import make_stacks
 from shared.wire.codec import Codec
 from shared.wire.messages import RobotState, StepReport
 from shared.wire.operator import PushCommand, Reset, RobotCommand, SwitchController
@@ -101,15 +102,18 @@ class RobotNode:
         self.answers = SenderCounter()
         self._sent = SentStates(robot.model.nv - 6)
         self._codec = Codec(robot, config, motion)
-        self._make_controller = make_controller
-        self._start_computer = start_computer or self._model_computer
-        self.controller = self._controller_of(config, self._session, self._model, stacks)
-        # Takes the answers: the controller's, or that of the controller that waits for its first.
-        self.cache = self.controller.cache
-        self.on_board = self.controller.on_board
-        self._switching: ControllerSwitch | None = None
-        self._retired: list[OnBoard] = []
-        self._on_board_qps = 0
+        self._slot = ControllerSlot(
+            ControllerParts(
+                config=config,
+                motion=motion,
+                codec=self._codec,
+                session=self._session,
+                model=self._model,
+                stacks=stacks,
+                start_computer=start_computer or self._model_computer,
+            ),
+            make_controller,
+        )
         self._pushes = config.pushes
         self.clock, self.plans = self._steps_of(self._session)
         self._torque_rate_limiter = TorqueRateLimiter(self._guard)
@@ -127,6 +131,21 @@ class RobotNode:
         self._q: np.ndarray
         self._v: np.ndarray
         self._reference: Reference
+
+    @property
+    def controller(self) -> Controller:
+        """The controller of this tick."""
+        return self._slot.controller
+
+    @property
+    def cache(self) -> AnswerCache:
+        """The cache that takes the answers."""
+        return self._slot.cache
+
+    @property
+    def on_board(self) -> OnBoard | None:
+        """The on-board computer, if the controller needs one."""
+        return self._slot.controller.on_board
 
     @property
     def refused(self) -> RefusalCounter:
@@ -147,33 +166,25 @@ class RobotNode:
         the pace of simulated time are the driver's. Raise `ConfigError` if the command cannot be
         carried out.
         """
-        self._close_retired()
+        self._slot.close_retired()
         if isinstance(command, PushCommand):
             return partial(self._add_push, command)
         if isinstance(command, SwitchController):
-            config = replace(self._config, controller=command.controller)
-            made = self._another_controller(config, self._session)
-            return partial(self._begin_switch, ControllerSwitch(config, made))
+            config = replace(self._slot.config, controller=command.controller)
+            return partial(self._slot.begin_switch, self._slot.another(config, self._session))
         if isinstance(command, Reset):
-            switching = self._switching
-            config = self._config if switching is None else switching.config
             session = (self._session + 1) % 2**32
-            made = self._another_controller(config, session)
-            return partial(self._reset, session, config, made, *self._steps_of(session))
+            made = self._slot.another(self._slot.next_config, session)
+            return partial(self._reset, session, made, *self._steps_of(session))
         return _nothing
 
     def close(self) -> None:
         """End the processes of the on-board computer."""
-        self._close_retired()
-        if self._switching is not None and self._switching.controller.on_board is not None:
-            self._switching.controller.on_board.close()
-        if self.on_board is not None:
-            self.on_board.close()
+        self._slot.close()
 
     def measure(self, now_ns: int) -> bytes:
         """First phase: sense, observe, and return the state message to send."""
-        if self._switching is not None:
-            self._go_on_switching(self._switching)
+        self._slot.follow()
         self._true_state = self._plant.state()
         measured = self._sensors.measure(*self._true_state)
         self._q_in_world, v = self.sensor_guard.check(*measured)
@@ -238,13 +249,7 @@ class RobotNode:
 
     def receive(self, delivery: Delivery) -> bool:
         """Offer a message from the edge to the cache. Return whether it was taken."""
-        present = self.controller.cache
-        last = present is not self.cache and present.offer(delivery.data, sent=self._sent)
-        if last and type(present) is not type(self.cache):
-            # The next controller has no use for an answer of this kind.
-            self.answers.count(delivery.envelope, taken=True)
-            return True
-        taken = self.cache.offer(delivery.data, sent=self._sent)
+        taken = self._slot.offer(delivery.data, sent=self._sent)
         self.answers.count(delivery.envelope, taken=taken)
         return taken
 
@@ -326,8 +331,7 @@ class RobotNode:
             plan_ns=self._plan_ns,
             push=push,
             contact_force=self._contact_force,
-            on_board_qps=self._on_board_qps
-            + (0 if self.on_board is None else self.on_board.solves),
+            on_board_qps=self._slot.on_board_qps,
             refused=self.refused.total_refused,
         )
 
@@ -388,44 +392,17 @@ class RobotNode:
         push = Push(command.vector, self.time_ns, command.duration_ns)
         self._pushes = (*lasting[:_MAX_PUSHES], push)
 
-    def _begin_switch(self, switch: ControllerSwitch) -> None:
-        """Let another controller collect answers. Until it has one, the present one goes on."""
-        self._abandon_switch()
-        switch.before_ns = self.cache.newest_stamp_ns
-        self.cache = _continued(switch.controller.cache, self.cache)
-        self._switching = switch
-
-    def _go_on_switching(self, switch: ControllerSwitch) -> None:
-        """Change to the other controller once it has an answer."""
-        if self.cache.newest_stamp_ns > switch.before_ns:
-            self._switching = None
-            self._replace_controller(switch.config, switch.controller)
-
-    def _replace_controller(self, config: RunConfig, controller: Controller) -> None:
-        if self.on_board is not None:
-            self._on_board_qps += self.on_board.solves
-            self._retired.append(self.on_board)
-        self._config, self.controller = config, controller
-        self.cache, self.on_board = controller.cache, controller.on_board
-
-    def _abandon_switch(self) -> None:
-        if self._switching is not None and self._switching.controller.on_board is not None:
-            self._retired.append(self._switching.controller.on_board)
-        self._switching = None
-
     def _reset(
         self,
         session: int,
-        config: RunConfig,
-        controller: Controller,
+        other: OtherController,
         clock: ContactClock | None,
         plans: PlanCache | None,
     ) -> None:
         """Put the robot at the beginning of its task, as another start of it for the edge."""
-        robot, period_ns = self._model.robot, config.loop.period_ns
-        _continued(controller.cache, self.cache)
-        self._abandon_switch()
-        self._replace_controller(config, controller)
+        robot, config = self._model.robot, other.config
+        period_ns = config.loop.period_ns
+        self._slot.replace(other)
         self._session = session
         if self.plans is not None and plans is not None:
             plans.refused.update(self.plans.refused)
@@ -449,63 +426,15 @@ class RobotNode:
         clock = ContactClock(self._model.robot, self._config)
         return clock, PlanCache(self._codec, self._model.robot, clock, session=session)
 
-    def _another_controller(self, config: RunConfig, session: int) -> Controller:
-        """Make a controller with separate workspaces, so that the tick may go on meanwhile."""
-        robot = self._model.robot
-        stacks = make_stacks(robot, config.wbc, Limits.of(robot, config))
-        return self._controller_of(config, session, WholeBodyModel(robot), stacks)
-
-    def _controller_of(
-        self,
-        config: RunConfig,
-        session: int,
-        model: WholeBodyModel,
-        stacks: dict[ContactMode, Stack],
-    ) -> Controller:
-        return self._make_controller(
-            ControllerParts(
-                config=config,
-                motion=self._whole_motion,
-                codec=self._codec,
-                session=session,
-                model=model,
-                stacks=stacks,
-                start_computer=self._start_computer,
-            )
-        )
-
     def _model_computer(self, make_solve: MakeSolve) -> OnBoardComputer:
         config = self._config
         ready_after_ns = config.switch.ready_after_ns(config.switch.compute_ns)
         solve = make_solve(self._model.robot, config, self._whole_motion)
         return ModelledComputer(solve, ready_after_ns=ready_after_ns)
 
-    def _close_retired(self) -> None:
-        while self._retired:
-            self._retired.pop().close()
-
     def _make_plant(self, robot: Robot) -> Plant:
         timestep = self._config.loop.period_ns * 1e-9
         return make_plant(robot, self._config.plant, timestep=timestep, ground=self._ground)
-
-
-@dataclass
-class ControllerSwitch:
-    """A controller that waits for its first answer, with its settings.
-
-    `before_ns` is the time of the state that was answered last before.
-    """
-
-    config: RunConfig
-    controller: Controller
-    before_ns: int = 0
-
-
-def _continued(cache: AnswerCache, before: AnswerCache) -> AnswerCache:
-    """Let a new cache go on with the counts of the one before."""
-    cache.refused.update(before.refused)
-    cache.newest_stamp_ns = before.newest_stamp_ns
-    return cache
 
 
 def _nothing() -> None:
