@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from deploy.neighbours import Neighbours
 from deploy.process_stat import processor_seconds
 from shared.commands import wbc
 from shared.config.extensions import corrects
@@ -51,15 +52,15 @@ def summarise(
     say: Callable[[str], None],
     *,
     services: dict[str, Any] | None = None,
-    other_stacks: int = 0,
+    neighbours: Neighbours | None = None,
 ) -> dict[str, Any] | None:
     """Return the summary, and write it to `summary.json` in place of the services' reports.
 
-    `services` is the supervisor's part, `other_stacks` the largest number of other stacks that ran
-    on this machine at a time. Rows of killed lives become Parquet. `say` gets a line for
+    `services` is the supervisor's part, `neighbours` the other work on this machine, None
+    if it is unknown. Rows of killed lives become Parquet. `say` gets a line for
     a file that cannot be written. Return None if the robot left neither a report nor rows.
     """
-    result = _summary(run, config, services or {}, other_stacks)
+    result = _summary(run, config, services or {}, neighbours or Neighbours())
     if result is not None:
         text = json.dumps(result, indent=2)
         try:
@@ -83,7 +84,7 @@ def summarise(
 
 
 def _summary(
-    run: Path, config: RunConfig, services: dict[str, Any], other_stacks: int
+    run: Path, config: RunConfig, services: dict[str, Any], neighbours: Neighbours
 ) -> dict[str, Any] | None:
     robot = _whole(run, _ROBOT, _edge_report, _robot_from_rows)
     if robot is None:
@@ -93,7 +94,7 @@ def _summary(
         robot=robot,
         edge=_whole(run, _EDGE, _edge_report, _edge_from_rows),
         link=_whole(run, _LINK, _link_report, partial(_link_from_rows, config.link.network)),
-        **_joined(run, config, other_stacks),
+        **_joined(run, config, neighbours),
     )
     return {**result, "services": services}
 
@@ -260,7 +261,7 @@ def _added(counts: Iterable[dict[str, int]]) -> dict[str, int]:
     return dict(total)
 
 
-def _joined(run: Path, config: RunConfig, other_stacks: int) -> dict[str, Any]:
+def _joined(run: Path, config: RunConfig, neighbours: Neighbours) -> dict[str, Any]:
     """Return the parts of the summary that need the rows of several services."""
     ticks = _rows(run, _ROBOT, columns=_COMPARED)
     solve_rows, link_rows = (_all_rows(run, stem) for stem in (_EDGE, _LINK))
@@ -274,7 +275,9 @@ def _joined(run: Path, config: RunConfig, other_stacks: int) -> dict[str, Any]:
         solves = np.empty((0, SOLVE_SCHEMA.width)) if solve_rows is None else solve_rows
         met = link_met(*ticks, link_rows, solves, steady=not corrects(config.controller))
     lateness = None if link_rows is None else shim_ms(link_rows)
-    machine = Machine(usable_cores(), other_stacks, response, lateness)
+    machine = Machine(
+        usable_cores(), neighbours.most, response, lateness, other_cores=neighbours.cores
+    )
     return {"discrepancy": discrepancy, "met": met, "machine": machine}
 
 

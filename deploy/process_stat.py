@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+_PROC = Path("/proc")
 
-def process_stat(pid: int) -> list[str]:
+
+def process_stat(pid: int, proc: Path = _PROC) -> list[str]:
     """Return the fields after the program's name, the state of the process first.
 
     Raise `OSError` if there is no such process, or no /proc.
     """
-    text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    text = (proc / str(pid) / "stat").read_text(encoding="ascii", errors="replace")
     # The name of the program, in brackets, may have spaces and brackets.
     return text.rpartition(")")[2].split()
 
@@ -24,7 +26,7 @@ def process_started(pid: int) -> int | None:
         return None
 
 
-def processor_seconds(pid: int) -> float:
+def processor_seconds(pid: int, proc: Path = _PROC) -> float:
     """Return the processor time of a process so far, user and system [s]."""
-    user, system = process_stat(pid)[11:13]
+    user, system = process_stat(pid, proc)[11:13]
     return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")

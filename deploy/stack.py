@@ -358,11 +358,12 @@ class StackRun:
         raise LinkError(text)
 
     def _look(self, *, again: bool = False) -> None:
-        """Count the other stacks, once in `_LOOK_SECONDS` or `again` now."""
+        """Look for what else runs here, once in `_LOOK_SECONDS` or `again` now."""
         now = time.monotonic()
         if again or now >= self._look_at:
             self._look_at = now + _LOOK_SECONDS
-            self._neighbours.look([each.pid for each in self._supervisor.states()])
+            own = [os.getpid(), *[each.pid for each in self._supervisor.states()]]
+            self._neighbours.look(own, now)
 
     async def _linger(self) -> None:
         """Leave the view open until Ctrl-C, or until the user closes it."""
@@ -422,7 +423,7 @@ class StackRun:
                 }
                 for service in again
             },
-            other_stacks=self._neighbours.most,
+            neighbours=self._neighbours,
         )
         if result is None:
             return ""

@@ -84,13 +84,13 @@ def resemblance(content: list[str]) -> str:
             f"'time=1{_unit(rows[0][0])},id=2' if they are times and what packets are known by"
         )
     for names, row in itertools.pairwise(rows):
-        if columns := _columns(names, row):
-            return f"it looks like a table: try {columns}"
+        if flags := columns_by_names(names, row):
+            return f"it looks like a table: try {flags}"
     return ""
 
 
-def _columns(names: list[str], row: list[str]) -> str:
-    """The flags by the names of a header above a row of values; empty if they tell too little."""
+def columns_by_names(names: list[str], row: list[str]) -> str:
+    """Return the flags for columns of these names and a row; empty if they tell too little."""
     found: dict[str, str] = {}
     for name, cell in zip(names, row, strict=False):
         date = date_time_ns(cell) is not None

@@ -32,8 +32,9 @@ from netem.importers.measured import (
     without_unfinished,
 )
 from netem.importers.options import Options
+from netem.importers.resemblance import columns_by_names
 from netem.importers.source import content_lines, head, wrong
-from netem.importers.table_parquet import PARQUET, parquet_names, read_parquet
+from netem.importers.table_parquet import PARQUET, first_cells, parquet_names, read_parquet
 from netem.importers.table_text import read_text, split_names
 from netem.importers.times import bare
 from shared.errors import ConfigError, ProfileError
@@ -71,6 +72,7 @@ def read_table(path: Path, options: Options, direction: int) -> Measured:
             f"{path}: columns: expected sent=NAME (or --interval) and received=, delay=, rtt= or "
             "uplink= and downlink=, as in --columns 'sent=pub_time(ms),received=sub_time(ms)', got "
             f"{','.join(f'{key}={name}' for key, name in columns.items()) or 'none'}"
+            f"{'' if columns else _advice(path)}"
         )
     read = _read(path, columns, options)
     values, notes = read.values, read.notes
@@ -155,6 +157,15 @@ def _columns_of(path: Path) -> Mapping[str, str]:
     start = head(path, size=4)
     first = "" if start == PARQUET else next(content_lines(path), (1, ""))[1]
     return known_columns(path, start, first)
+
+
+def _advice(path: Path) -> str:
+    """Return the columns of a parquet file, with the flags that would read them."""
+    if head(path, size=4) != PARQUET:
+        return ""
+    names = parquet_names(path)
+    flags = columns_by_names(names, first_cells(path))
+    return f"; it has {', '.join(names)}" + (f": try {flags}" if flags else "")
 
 
 def _read(path: Path, columns: Mapping[str, str], options: Options) -> Read:

@@ -111,5 +111,18 @@ def parquet_names(path: Path) -> list[str]:
         raise ProfileError(f"{path}: expected a parquet file, got: {_one_line(error)}") from None
 
 
+def first_cells(path: Path) -> list[str]:
+    """Return the first row as text; a time of its column's type is a date and time."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(path) as file:
+            first = next(file.iter_batches(batch_size=1), None)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise ProfileError(f"{path}: cannot read its first row: {_one_line(error)}") from None
+    return [] if first is None else [str(column[0]) for column in first.columns]
+
+
 def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())[:200]

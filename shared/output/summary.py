@@ -24,6 +24,8 @@ _LEAST_PROFILE_SECONDS = 0.01
 _AS_LONG = 0.9
 # A run that is to meet an outage begins this long before it.
 _BEFORE_SECONDS = 1.0
+# Others' processes are worth a line of the summary from this number of cores on.
+_BUSY_CORES = 0.3
 
 
 def summary(
@@ -218,6 +220,10 @@ def _counters(summary: Mapping[str, Any]) -> list[str]:
             for edge, counts in answers.items()
         )
         lines.append(f"  answers from {len(answers)} edges: {by_edge}")
+    taken = summary.get("machine", {}).get("other_cores")
+    if taken is not None and taken >= _BUSY_CORES:
+        cores = summary["machine"]["cores"]
+        lines.append(f"  other processes took {taken:.1f} of this machine's {cores} cores")
     if faults := summary.get("sensor_faults"):
         held = ", ".join(f"{sensor} {count} ×" for sensor, count in faults.items())
         lines.append(f"  sensor faults held over: {held}")

@@ -39,6 +39,7 @@ CORES_PER_STACK = 2
 class Machine:
     """The machine of a run in real time: its `cores`, and the largest number of other stacks.
 
+    `other_cores` is the mean number of cores that processes of others took, None if unknown.
     `edge_ms` has quantiles of the time from the arrival of a state at the edge, by the profile,
     until an answer to it or to a newer one leaves. `shim_ms` has those of the shim's lateness, for
     each direction, without messages that waited in an outage. Both are empty if unknown.
@@ -48,12 +49,14 @@ class Machine:
     other_stacks: int = 0
     edge_ms: Mapping[str, float | None] | None = None
     shim_ms: Mapping[str, Mapping[str, float | None]] | None = None
+    other_cores: float | None = None
 
     def report(self) -> dict[str, Any]:
         """Return the part of the summary."""
         return {
             "cores": self.cores,
             "other_stacks": self.other_stacks,
+            "other_cores": None if self.other_cores is None else round(self.other_cores, 2),
             "edge_ms": dict(self.edge_ms or quantiles(np.empty(0))),
             "shim_ms": {
                 name: dict((self.shim_ms or {}).get(name, quantiles(np.empty(0))))

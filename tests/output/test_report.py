@@ -16,6 +16,7 @@ from shared.output.report import (
     robot_report,
 )
 from shared.output.summary import summary, summary_in_words
+from shared.output.validity import Machine
 from shared.output.versions import versions
 from shared.telemetry.metrics import log_hash, quantiles
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, tick_schema
@@ -58,6 +59,23 @@ def test_a_summary_says_who_answered_and_which_sensors_failed():
     )
     assert "answers from 2 edges: 7 of 0a (0 refused), 2 of 0b (3 refused)" in text
     assert "sensor faults held over: LKnee 4 ×" in text
+
+
+@pytest.mark.parametrize(
+    ("cores", "line"), [(1.24, "other processes took 1.2 of this machine's 2 cores"), (0.1, None)]
+)
+def test_the_work_of_others_on_the_machine_is_told(cores, line):
+    told = summary(
+        RunConfig(),
+        robot=robot_part(ticks(10)),
+        edge=None,
+        link=None,
+        discrepancy=None,
+        machine=Machine(2, other_cores=cores),
+    )
+    assert told["machine"]["other_cores"] == cores
+    text = summary_in_words(told)
+    assert line in text if line else "other processes" not in text
 
 
 def test_quantiles_are_of_the_finite_values():

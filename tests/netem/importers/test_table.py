@@ -252,6 +252,15 @@ def test_times_in_parquet_have_their_unit(convert, tmp_path, unit):
     assert profile.delays_ns[UPLINK].tolist() == [10 * MS, LOST, 10_500_000]
 
 
+def test_parquet_without_columns_given_is_advised_by_its_schema(refused, tmp_path):
+    stamps = pa.array([1_700_000_000], pa.timestamp("s"))
+    parquet.write_table(pa.table({"ts": stamps, "rtt_ms": [20.0]}), tmp_path / "t.parquet")
+    expected = "; it has ts, rtt_ms: try --columns 'sent=ts,rtt=rtt_ms'"
+    assert refused(tmp_path / "t.parquet").endswith(expected)
+    parquet.write_table(pa.table({"name": ["a"]}), tmp_path / "t.parquet")
+    assert refused(tmp_path / "t.parquet").endswith("got none; it has name")
+
+
 def test_times_that_step_back_are_told(convert, written):
     times = [*range(0, 500, 50), *range(250, 900, 50)]
     text = "t_ms,rtt_ms\n" + "".join(f"{t},20\n" for t in times)
