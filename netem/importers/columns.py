@@ -11,12 +11,13 @@ import numpy as np
 from netem.importers.options import Options
 from netem.importers.source import nanoseconds, wrong
 from netem.importers.times import bare, date_time_ns, unit_ns
-from shared.errors import ConfigError
+from shared.errors import ConfigError, ProfileError
 
 LOST_NS = int(np.iinfo(np.int64).min)
 TIMES = ("sent", "received", "time")
 _LOST = frozenset(
-    ("", "lost", "none", "null", "nan", "na", "n/a", "-", "--", "*", "timeout", "timed out", "loss")
+    ("", "lost", "loss", "none", "null", "nan", "na", "n/a", "-", "--", "*", "timeout", "timed out")
+    + ("inf", "+inf", "infinity", "∞")
 )
 
 
@@ -69,6 +70,8 @@ def place_of(
         at = [int(bare(part)[:9]) - 1 for part in parts]
         if not all(0 <= k < len(first) for k in at):
             raise wrong(path, where, f"a column {name} (by number, from 1)", ", ".join(first))
+    for part, k in zip(parts, at, strict=True) if names else ():
+        _expect_one(path, where, part.strip(), names[k], names)
     given = None
     if unit is not None:
         given = unit_ns("", unit.strip())
@@ -77,6 +80,19 @@ def place_of(
     columns = [names[k] if names else "" for k in at]
     units = [unit_ns(part, column) for part, column in zip(parts, columns, strict=True)]
     return Place(tuple(at), tuple(own or given for own in units))
+
+
+def _expect_one(path: Path, where: str, asked: str, found: str, names: list[str]) -> None:
+    """Raise `ProfileError` if a name means several columns."""
+    exact = asked.lower() == found.lower()
+    kinds = [(each if exact else bare(each)).lower() for each in names]
+    alike = [k for k, kind in enumerate(kinds) if kind == kinds[names.index(found)]]
+    if len(alike) > 1:
+        others = " and ".join(f"{names[k]} (column {k + 1})" for k in alike)
+        raise ProfileError(
+            f"{path}, {where}: expected one column {asked}, got {others}; try the whole name, or "
+            "count all columns, as in sent=1(s),rtt=3(ms)"
+        )
 
 
 def units_ns(places: Mapping[str, Place]) -> dict[str, int | None]:

@@ -44,8 +44,11 @@ _COMPLAINT = re.compile(
 )
 _HEADING = re.compile(r"PING6?[ (]")
 _SIZE = re.compile(r"^(\d+)[^\d:]+ ")
-# "3 packets transmitted, 2 received, 33% packet loss, time 2003ms" in any language.
-_SENT = re.compile(rf"^\D{{0,20}}(\d{{1,9}})\D+\d{{1,9}}\D[^%]*%(?:.*?(\d{{1,12}}) ?{_MS}\s*$)?")
+# "3 packets transmitted, 2 received, 33% packet loss, time 2003ms" in any language. In an address,
+# as in fe80::1%eth0, an interface follows the %.
+_SENT = re.compile(
+    rf"^\D{{0,20}}(\d{{1,9}})\D+\d{{1,9}}\D[^%]*%(?![A-Za-z0-9])(?:.*?(\d{{1,12}}) ?{_MS}\s*$)?"
+)
 _WRAP = 65536
 _STEP_NS = 10_000_000
 

@@ -202,11 +202,11 @@ def _loss_notes(
 def _shared_times_note(way: Way, period_ns: int) -> tuple[str, ...]:
     """A note for the user on coarse times that several packets share; empty if they are fine."""
     sent, times = len(way.sent_ns), len(np.unique(way.sent_ns))
-    if sent < 2 * times or usual_spacing_ns(way, period_ns) <= period_ns:
+    if sent < 2 * times or (times > 1 and usual_spacing_ns(way, period_ns) <= period_ns):
         return ()
     return (
-        f"{sent} packets have only {times} times of sending, and of each the longest delay counts; "
-        "are the times cut short?",
+        f"{sent} packets have only {times} time{'s' * (times > 1)} of sending, and of each the "
+        "longest delay counts; are the times cut short?",
     )
 
 

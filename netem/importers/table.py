@@ -49,6 +49,8 @@ _KNOWN = (
 _MEANINGS = ("received", "delay", "rtt", "uplink", "downlink")
 # The minimum distance of the mark of a lost packet from every delay [units].
 _APART = 3
+# The least ratio of a mark such as 9999 to the longest delay.
+_FAR = 5
 
 
 def known_columns(path: Path, start: bytes, first_line: str) -> Mapping[str, str]:
@@ -90,6 +92,7 @@ def read_table(path: Path, options: Options, direction: int) -> Measured:
         none = int(((delays[key] == 0) & ~lost[key]).sum())
         if none and key != "received":
             notes += (f"{none} of {len(sent)} {key} values are exactly 0; if lost, try --lost 0",)
+        notes += _large_mark_note(key, delays[key][~lost[key]], read.units_ns.get(key))
     if "rtt" in others:
         ways = halved(sent, delays["rtt"], lost["rtt"])
         return Measured(ways, (HALF_NOTE, *notes), {"split": "half"})
@@ -174,6 +177,20 @@ def _read(path: Path, columns: Mapping[str, str], options: Options) -> Read:
     if not len(read.rows):
         raise ProfileError(f"{path}: expected rows below the header, got none")
     return read
+
+
+def _large_mark_note(key: str, known: np.ndarray, unit: int | None) -> tuple[str, ...]:
+    """Return a note on one large value, such as 9999, that may stand for lost packets."""
+    if unit is None or key == "received" or not len(known):
+        return ()
+    largest = int(known.max())
+    rest, count = known[known < largest], int((known == largest).sum())
+    if count < 2 or largest % unit or not len(rest) or largest < _FAR * max(int(rest.max()), unit):
+        return ()
+    return (
+        f"{count} of {len(known)} {key} values are exactly {largest // unit}, the next is "
+        f"{rest.max() / unit:g}; if lost, try --lost {largest // unit}",
+    )
 
 
 def _expect_no_mark(path: Path, key: str, read: Read) -> None:

@@ -72,8 +72,10 @@ def _parquet_times(
         )
     cells = column.fill_null(0).to_numpy()
     lost = column.is_null().to_numpy(zero_copy_only=False) | np.isnan(cells)
-    if options.lost is not None and key not in ("sent", "time"):
-        lost |= np.array([is_lost(str(cell), options) for cell in cells.tolist()], dtype=bool)
+    if key not in ("sent", "time"):
+        lost |= np.isposinf(cells)
+        if options.lost is not None:
+            lost |= np.array([is_lost(str(cell), options) for cell in cells.tolist()], dtype=bool)
     cells = np.where(lost, 0, cells)
     whole = cells.dtype.kind in "iu"
     ends = (

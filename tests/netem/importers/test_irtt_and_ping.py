@@ -264,6 +264,14 @@ def test_replies_of_every_ping_are_understood(convert, written, line):
     assert profile.delays_ns[UPLINK].tolist() == [4 * MS] * 3
 
 
+def test_an_interface_in_an_address_is_no_summary(convert, written):
+    lines = [f"64 bytes from fe80::1%eth0: icmp_seq={n} ttl=64 time=8.0 ms" for n in range(1, 5)]
+    lines.insert(2, "From fe80::2:3%12 Destination unreachable: Address unreachable")
+    log = "\n".join(["PING fe80::1(fe80::1%eth0) 56 data bytes", *lines, ""])
+    profile = convert(written("ping.log", log), "--period", "1s")
+    assert profile.delays_ns[UPLINK].tolist() == [4 * MS] * 4
+
+
 def test_numbers_go_on_after_65535(convert, written):
     lines = [reply(n % 65536, 2) for n in (65534, 65535, 65536, 65538)]
     profile = convert(written("p.log", log(*lines)), "--interval", "10ms", "--period", "10ms")

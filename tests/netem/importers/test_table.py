@@ -108,7 +108,7 @@ def test_parquet_as_deterministic6g_publishes_it_is_known(convert, tmp_path, mis
 
 @pytest.mark.parametrize(
     ("values", "words"),
-    [([True, False], "numbers"), ([float("inf"), 1.0], "finite"), ([1e300, 1.0], "finite")],
+    [([True, False], "numbers"), ([float("-inf"), 1.0], "finite"), ([1e300, 1.0], "finite")],
 )
 def test_a_column_of_parquet_without_times_is_refused(refused, tmp_path, values, words):
     file = tmp_path / "a.parquet"
@@ -122,7 +122,7 @@ def test_a_column_of_parquet_without_times_is_refused(refused, tmp_path, values,
     ("row", "words"),
     [
         ("5,x", "delay as a number, got 'x'"),
-        ("5,inf", "delay as a number, got 'inf'"),
+        ("5,-inf", "delay as a number, got '-inf'"),
         (",5", "sent as a number, got ''"),
         ("lost,5", "sent as a number, got 'lost'"),
         ("5", "2 columns, got '5'"),
@@ -272,6 +272,51 @@ def test_packets_that_share_times_are_told(convert, written):
     text = "t_s,rtt_ms\n" + "".join(f"{k // 10},{k}\n" for k in range(100))
     notes = convert(written("t.csv", text), "--columns", "sent=t_s,rtt=rtt_ms").metadata["notes"]
     assert any("100 packets have only 10 times of sending" in note for note in notes)
+    text = "t_s,rtt_ms\n" + "".join(f"5,{k}\n" for k in range(9))
+    notes = convert(written("t.csv", text), "--columns", "sent=t_s,rtt=rtt_ms").metadata["notes"]
+    assert any("9 packets have only 1 time of sending" in note for note in notes)
+
+
+def test_one_large_value_far_from_the_others_is_told(convert, written):
+    rows = [20.5, 9999, 21, 9999, 22.5]
+
+    def notes(rows, *flags):
+        text = "t_s,rtt_ms\n" + "".join(f"{k / 20},{value}\n" for k, value in enumerate(rows))
+        columns = ("--columns", "sent=t_s,rtt=rtt_ms")
+        return "".join(convert(written("t.csv", text), *columns, *flags).metadata["notes"])
+
+    assert "2 of 5 rtt values are exactly 9999, the next is 22.5; if lost, try --lost" in notes(
+        rows
+    )
+    assert "exactly" not in notes(rows, "--lost", "9999")
+    # One long delay, and a longest delay that is near the next, are delays.
+    assert "exactly" not in notes([20.5, 300, 21]) + notes([20, 99, 99, 60])
+
+
+def test_infinite_delays_are_lost(convert, written):
+    file = written("t.csv", "t_s,rtt_ms\n0.00,20\n0.05,inf\n0.10,20\n")
+    profile = convert(file, "--columns", "sent=t_s,rtt=rtt_ms", "--period", "50ms")
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, LOST, 10 * MS]
+    table = pa.table({"t_s": [0.0, 0.05, 0.1], "rtt_ms": [20.0, float("inf"), 20.0]})
+    parquet.write_table(table, file)
+    profile = convert(file, "--columns", "sent=t_s,rtt=rtt_ms", "--period", "50ms")
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, LOST, 10 * MS]
+
+
+@pytest.mark.parametrize(
+    ("header", "asked", "words"),
+    [
+        ("t_s,rtt_ms,rtt_ms", "rtt_ms", "one column rtt_ms, got rtt_ms (column 2) and rtt_ms (col"),
+        ("t_s,rtt(ms),rtt(us)", "rtt", "one column rtt, got rtt(ms) (column 2) and rtt(us) (col"),
+    ],
+)
+def test_a_name_of_two_columns_is_refused(convert, refused, written, header, asked, words):
+    file = written("t.csv", f"{header}\n0.00,20,30\n0.05,20,30\n")
+    assert words in refused(file, "--columns", f"sent=t_s,rtt={asked}")
+    other = "2(ms)" if asked == "rtt_ms" else "rtt(ms)"
+    sent = "1(s)" if asked == "rtt_ms" else "t_s"
+    profile = convert(file, "--columns", f"sent={sent},rtt={other}", "--period", "50ms")
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS] * 2
 
 
 # Tables of other shapes ------------------------------------------------------------------------
