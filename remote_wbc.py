@@ -85,7 +85,7 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of both commands named `link`; the word after it tells them apart."""
     from deploy.operate import add_link_arguments as add_change_arguments
     from deploy.operate import add_stack_arguments
-    from shared.wire.operator import LINK_WORDS
+    from shared.wire.operator.texts import LINK_WORDS
 
     if sys.argv[1:2] == ["link"] and sys.argv[2:3] and sys.argv[2] in LINK_WORDS:
         # The study takes long to import.
@@ -109,7 +109,7 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
 def run_link(arguments: argparse.Namespace) -> int:
     """Change the link of a running stack, or play the study of a link."""
     from deploy.operate import send_link
-    from shared.wire.operator import LINK_WORDS
+    from shared.wire.operator.texts import LINK_WORDS
 
     change = getattr(arguments, "change", None) or arguments.network
     if change in LINK_WORDS:

@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.timing import cores_busy, header_of_processes
 from deploy.background.state import READY, StackFolder
-from deploy.plan import VIEWER
+from deploy.services import VIEWER
 from shared.errors import ConfigError, LinkError
 from shared.output.text_table import aligned
 from shared.process.entry import end_with_parent, python

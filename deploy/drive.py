@@ -16,10 +16,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from deploy.background.control_client import StackClient
 from deploy.console.keys import each_key, has_keys, typed_keys
-from shared.bus.operator import CommandClient
 from shared.errors import ConfigError
-from shared.wire.operator import Drive
+from shared.wire.operator.commands import Drive
 
 GAMEPAD = Path("/dev/input/js0")
 # What a held key drives, [m/s, m/s, rad/s]: within what a step can do.
@@ -90,7 +90,7 @@ class Hand:
         return self._wanted if now - self._typed_at < _LET_GO_SECONDS else _STOP
 
 
-def drive(client: CommandClient) -> None:
+def drive(client: StackClient) -> None:
     """Drive until Ctrl-C, and then let the robot stand."""
     if not has_keys():
         raise ConfigError("drive: expected a terminal for its keys; try drive 0.2 0 0")

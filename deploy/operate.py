@@ -1,32 +1,26 @@
 """Commands to a running stack: push the robot, change its link, its controller or its pace.
 
-They go over the stack's telemetry hub, a socket of this user alone, and never over the link under
-test. The stack answers each with the time at which it takes effect, and records it in the run's
-folder.
+They go over the stack's control socket, which only this user can reach, and on from there over its
+telemetry hub, never over the link under test. The stack answers each with the time at which it
+takes effect, and records it in the run's folder. This module loads little, so that a command comes
+to the stack at once.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from deploy.background.control_client import StackClient
 from deploy.background.registry import running_stacks
-from deploy.background.state import StackFolder, StackState
-from deploy.plan import EDGE, NETEM, ROBOT
-from shared.bus.security import robot_name
+from deploy.background.state import StackFolder
+from deploy.services import EDGE, NETEM, ROBOT
 from shared.commands import wbc
 from shared.config.extensions import CONTROLLERS
 from shared.errors import ConfigError, LinkError
 from shared.process.cli import EXIT_STANDING
-from shared.wire.operator import LINK_WORDS, Command, EdgeCommand, LinkCommand, parse_command
-
-if TYPE_CHECKING:
-    from shared.bus.operator import CommandClient
-
-_DIAL_ONCE = {"connect/timeout_ms": 3000, "connect/exit_on_failure": True}
+from shared.wire.operator.commands import Command, EdgeCommand, LinkCommand
+from shared.wire.operator.texts import LINK_WORDS, parse_command
 
 
 def add_push_arguments(parser: argparse.ArgumentParser) -> None:
@@ -127,15 +121,14 @@ def run_drive(arguments: argparse.Namespace) -> int:
         return _send(f"drive {' '.join(arguments.velocity)}", arguments)
     from deploy.drive import drive
 
-    with _client(parse_command("drive 0 0 0"), arguments) as client:
-        drive(client)
+    drive(_client(parse_command("drive 0 0 0"), arguments))
     return EXIT_STANDING
 
 
 def add_stack_arguments(parser: argparse._ActionsContainer) -> None:
     """Add the options that select a running stack."""
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--name", type=robot_name, help="the stack of the robot with this name")
+    which.add_argument("--name", help="the stack of the robot with this name")
     which.add_argument("--run", metavar="DIR", type=Path, help="the stack of this run's folder")
 
 
@@ -160,26 +153,15 @@ def run_reset(arguments: argparse.Namespace) -> int:
 def _send(text: str, arguments: argparse.Namespace) -> int:
     """Send a command to the stack that the arguments select, and print its answer. Return 0."""
     command = parse_command(text)
-    with _client(command, arguments) as client:
-        answer = client.send(command)
+    answer = _client(command, arguments).send(command)
     note = f"; {answer.note}" if answer.note else ""
     print(f"{command}: from {answer.time_ns * 1e-9:.3f} s of the task on{note}")
     return EXIT_STANDING
 
 
-@contextlib.contextmanager
-def _client(command: Command, arguments: argparse.Namespace) -> Iterator[CommandClient]:
-    """Yield a session with the stack that the arguments select for a command."""
-    hub = _stack_for(command, run=arguments.run, robot=arguments.name).hub
-    # Imported here: a command that is refused above needs no Zenoh.
-    from shared.bus.operator import CommandClient
-    from shared.bus.zenoh_bus import ZenohBus
-
-    bus = ZenohBus(connect=[hub], mode="client", settings=_DIAL_ONCE)
-    try:
-        yield CommandClient(bus)
-    finally:
-        bus.close()
+def _client(command: Command, arguments: argparse.Namespace) -> StackClient:
+    """Return a client of the stack that the arguments select for a command."""
+    return StackClient(_stack_for(command, run=arguments.run, robot=arguments.name))
 
 
 def service_of(command: Command) -> str:
@@ -189,7 +171,7 @@ def service_of(command: Command) -> str:
     return EDGE if isinstance(command, EdgeCommand) else ROBOT
 
 
-def _stack_for(command: Command, *, run: Path | None, robot: str | None) -> StackState:
+def _stack_for(command: Command, *, run: Path | None, robot: str | None) -> StackFolder:
     """Return the stack that a command is for; raise `ConfigError` if it is not one alone."""
     if run is not None:
         folder = StackFolder(run)
@@ -210,7 +192,7 @@ def _stack_for(command: Command, *, run: Path | None, robot: str | None) -> Stac
     if len(having) > 1:
         runs = ", ".join(str(stack.run) for stack, _ in having)
         raise ConfigError(f"several stacks run: {runs}; select one with --name or --run")
-    state = having[0][1]
-    if not state.hub:
-        raise LinkError(f"{command}: the stack has not opened its hub yet; try again")
-    return state
+    stack = having[0][0]
+    if not stack.control.exists():
+        raise LinkError(f"{command}: the stack takes no commands yet; try again")
+    return stack

@@ -36,7 +36,7 @@ from shared.telemetry.parquet import read_parquet
 from shared.telemetry.row_log import read_rows
 from shared.telemetry.schema import SOLVE_SCHEMA, Schema
 from shared.wbc.qp import QpStatus
-from shared.wire.operator import EVENTS_FILE
+from shared.wire.operator.events import EVENTS_FILE
 
 SUMMARY = "summary.json"
 STEMS = _ROBOT, _EDGE, _LINK = ("telemetry", "edge", "link")

@@ -12,13 +12,12 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.services import Service, starting_order
+from deploy.services import EDGE, NETEM, ROBOT, ROUTER, VIEWER, Service, starting_order
 from shared.bus.endpoint import Endpoint, parse_endpoint
 from shared.bus.security import DEFAULT_FOLDER, Credentials, robot_role
 from shared.errors import ConfigError, one_of
 from shared.process.service import names_on_the_link
 
-EDGE, ROUTER, NETEM, ROBOT, VIEWER = "edge", "router", "netem", "robot", "viewer"
 _CHAIN = (EDGE, ROUTER, NETEM, ROBOT)
 
 

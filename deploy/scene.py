@@ -11,7 +11,8 @@ from shared.bus.base import Delivery
 from shared.bus.operator import CommandClient
 from shared.clock import ScaledClock
 from shared.errors import MessageRefused, UserError
-from shared.wire.operator import Command, CommandEvent, parse_event
+from shared.wire.operator.commands import Command
+from shared.wire.operator.events import CommandEvent, parse_event
 from shared.wire.robot_clock import ClockReading, decode_clock
 
 # What `up` without arguments shows beside the push of the settings: a stall, and a cut link.

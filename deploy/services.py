@@ -30,6 +30,7 @@ from typing import Any
 from shared.errors import ConfigError, one_of
 from shared.toml_file import read_toml
 
+EDGE, ROUTER, NETEM, ROBOT, VIEWER = "edge", "router", "netem", "robot", "viewer"
 FILE = Path(__file__).with_name("services.toml")
 OUTCOME, FAILURE, IGNORED = "outcome", "failure", "ignored"
 HELD = "held"

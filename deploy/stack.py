@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 import tomli_w
 
-from deploy.background.control_server import ControlServer
+from deploy.background.control_server import ControlServer, Requests
 from deploy.background.detach import tell_ready
 from deploy.background.registry import Registry, in_terminal
 from deploy.background.state import (
@@ -37,10 +37,10 @@ from deploy.console.terminal import Terminal
 from deploy.console.watch import open_hub, private_socket, status_of, tell
 from deploy.neighbours import Neighbours
 from deploy.outcome import record, summarise
-from deploy.plan import NETEM, ROBOT, VIEWER, Plan, PlannedService
+from deploy.plan import Plan, PlannedService
 from deploy.process_stat import process_started
 from deploy.scene import RobotTime, Sender, play
-from deploy.services import HELD, IGNORED, OUTCOME
+from deploy.services import EDGE, HELD, IGNORED, NETEM, OUTCOME, ROBOT, VIEWER
 from deploy.supervisor import Launch, Supervisor
 from shared.bus.base import Delivery
 from shared.bus.operator import CommandClient
@@ -51,12 +51,19 @@ from shared.errors import LinkError, UserError
 from shared.output.summary import summary_in_words
 from shared.process.cli import EXIT_FELL, EXIT_STANDING
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, python
-from shared.wire.operator import CLOCK_KEY, VIEW_KEY, Command, CommandEvent
+from shared.process.realtime import usable_cores
+from shared.wire.operator.commands import Command
+from shared.wire.operator.events import CommandEvent
+from shared.wire.operator.messages import CLOCK_KEY, VIEW_KEY
+from shared.wire.operator.texts import parse_command
 
 _STATUS_SECONDS = 0.1
 # A view that nobody opens does not hold the task for longer.
 _SEEN_SECONDS = 60.0
 _MAX_TYPED = 4
+# Where cores are few, the edge has this share of a core at real-time priority: enough for 150 to
+# 200 answers a second. Robot and shim have to be on time. The edge drops states instead.
+_EDGE_SHARE = 0.2
 # Looks for other stacks take milliseconds.
 _LOOK_SECONDS = 1.0
 
@@ -114,6 +121,7 @@ class StackRun:
         ends = run.plan.has(ROBOT) and not run.stays
         self._stopped_code = EXIT_INTERRUPTED if ends else EXIT_STANDING
         self._time = RobotTime()
+        self._client: CommandClient
         self._sender: Sender
         self._seen = asyncio.Event()
         # Gives the terminal its keys back.
@@ -144,14 +152,15 @@ class StackRun:
             self._telemetry = telemetry
             robot = self._run.config.robot.label
             hub = open_hub(telemetry, self._status, robot, out=self._out)
-            self._put(STARTING, hub=telemetry)
+            self._put(STARTING)
             hub.subscribe(CLOCK_KEY, self._time.take)
             hub.subscribe(VIEW_KEY, partial(self._note_view, loop))
-            self._sender = Sender(CommandClient(hub), partial(self._say, "up"))
+            self._client = CommandClient(hub)
+            self._sender = Sender(self._client, partial(self._say, "up"))
             failure: LinkError | None = None
             code = EXIT_ERROR
             try:
-                async with ControlServer(self._folder, self._supervisor.restart):
+                async with ControlServer(self._folder, self._requests()):
                     with self._keys():
                         code = await self._play()
             except LinkError as error:
@@ -175,6 +184,19 @@ class StackRun:
                 outcome = self._last_words(code)
             self._put(STOPPING, outcome=outcome, exit_code=code)
             return code
+
+    def _requests(self) -> Requests:
+        """Return the requests of other processes that this one carries out."""
+
+        async def restart(service: str) -> dict[str, Any]:
+            await self._supervisor.restart(service)
+            return {}
+
+        async def command(text: str) -> dict[str, Any]:
+            accepted = await asyncio.to_thread(self._client.send, parse_command(text))
+            return dataclasses.asdict(accepted)
+
+        return {"restart": restart, "command": command}
 
     def _fell(self) -> bool:
         """Return whether the robot has ended and had fallen."""
@@ -386,6 +408,8 @@ class StackRun:
         command = python("-m", *step.arguments)
         if step.name == ROBOT and run.stays:
             command += ["--stay"]
+        if step.name == EDGE and _fills_all_cores(run.plan):
+            command += ["--realtime-share", f"{_EDGE_SHARE:g}"]
         for flag in step.service.takes:
             if flag == HELD:
                 command += [f"--{flag}"]
@@ -448,3 +472,11 @@ class StackRun:
         pushes = self._status.events.pushes
         text = "; ".join([*[f"pushed with {', '.join(pushes)}"] * bool(pushes), *restarts])
         return [f"  {text}"] if text else []
+
+
+def _fills_all_cores(plan: Plan) -> bool:
+    """Return whether robot, shim and edge of a plan leave no core to ordinary processes.
+
+    Each takes up to a core at real-time priority.
+    """
+    return sum(plan.has(name) for name in (EDGE, NETEM, ROBOT)) >= usable_cores()

@@ -27,9 +27,6 @@ from deploy.background.registry import Registry
 from deploy.console.keys import has_keys
 from deploy.operate import service_of
 from deploy.plan import (
-    NETEM,
-    ROBOT,
-    VIEWER,
     Options,
     Plan,
     check_credentials,
@@ -37,7 +34,7 @@ from deploy.plan import (
     services_of,
 )
 from deploy.scene import DEMO
-from deploy.services import Service, load_services
+from deploy.services import NETEM, ROBOT, VIEWER, Service, load_services
 from deploy.stack import Run, StackRun, in_words
 from netem.networks import load_network, profile_of
 from shared.commands import wbc
@@ -48,15 +45,12 @@ from shared.errors import ConfigError, LinkError, writing
 from shared.motion.plan import make_motion
 from shared.output.screen import has_screen
 from shared.output.versions import versions
-from shared.process.cli import (
-    EXIT_STANDING,
-    add_run_arguments,
-    add_view_argument,
-    config_from,
-)
+from shared.process.cli import EXIT_STANDING
+from shared.process.run_options import add_run_arguments, add_view_argument, config_from
 from shared.process.service import add_identity_arguments
 from shared.robots import load_robot
-from shared.wire.operator import CommandEvent, LinkCommand, read_events
+from shared.wire.operator.commands import LinkCommand
+from shared.wire.operator.events import CommandEvent, read_events
 
 # Options, and what the parser adds, that leave the run itself as it is.
 _NOT_OF_THE_RUN = {"view", "out", "dry_run", "parser", "run_command"}

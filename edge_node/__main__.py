@@ -23,8 +23,14 @@ from shared.errors import ConfigError
 from shared.motion.plan import make_motion
 from shared.output.no_start import refused_in_words
 from shared.output.report import edge_report
-from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
-from shared.process.realtime import RealtimeBudget, prepare, suspend_garbage_collection
+from shared.process.cli import EXIT_STANDING, Parser, run
+from shared.process.realtime import (
+    RealtimeBudget,
+    RealtimeShare,
+    prepare,
+    suspend_garbage_collection,
+)
+from shared.process.run_options import add_run_arguments, config_from
 from shared.process.service import (
     EDGE_ENDPOINT,
     ServiceLog,
@@ -36,7 +42,8 @@ from shared.process.service import (
 from shared.robots import load_robot
 from shared.telemetry.schema import SOLVE_SCHEMA
 from shared.wire.channels import DOWNLINK, PLANS, SOLVES_KEY, UPLINK
-from shared.wire.operator import EDGE_COMMANDS_KEY, Accepted, Command, EdgeCommand
+from shared.wire.operator.commands import Accepted, Command, EdgeCommand
+from shared.wire.operator.messages import EDGE_COMMANDS_KEY
 
 _PRIORITY = 10
 _POLL_NS = 50_000_000
@@ -49,6 +56,13 @@ def main() -> int:
         "--listen", metavar="ENDPOINT", default=EDGE_ENDPOINT, help="(default %(default)s)"
     )
     ways.add_argument("--connect", metavar="ENDPOINT", help="a router to dial instead of listening")
+    parser.add_argument(
+        "--realtime-share",
+        metavar="0.2",
+        type=_share,
+        help="share of a core at real-time priority; beyond it, other processes get their part "
+        "(default: no such limit)",
+    )
     add_service_arguments(parser)
     add_run_arguments(parser)
     arguments = parser.parse_args()
@@ -92,7 +106,9 @@ def main() -> int:
     names = ", ".join(f"{name} as {sender_name(downlinks[name].session)}" for name in served)
     print(f"READY {where} for {names} ({scheduling}; {config.wbc.solver})", flush=True)
 
-    monitors, budget = {name: ClientMonitor() for name in served}, RealtimeBudget()
+    monitors = {name: ClientMonitor() for name in served}
+    share = arguments.realtime_share
+    budget = RealtimeBudget() if share is None else RealtimeShare(share)
     while not stop.requested:
         budget.keep(time.monotonic_ns())
         # A message may come between two inboxes' `take`, and its event be lost.
@@ -139,6 +155,14 @@ def main() -> int:
     # Last, because a neighbour that is cut off makes it wait.
     bus.close()
     return EXIT_STANDING
+
+
+def _share(text: str) -> float:
+    """Return a share of a core, more than 0 and at most 1."""
+    share = float(text)
+    if not 0.0 < share <= 1.0:
+        raise ValueError
+    return share
 
 
 def _serve_commands(hub: ZenohBus, node: EdgeNode, robots: tuple[str, ...]) -> None:

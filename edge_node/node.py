@@ -34,7 +34,7 @@ from shared.wire.messages import (
     ProjectorMessage,
     RobotState,
 )
-from shared.wire.operator import EdgeCommand
+from shared.wire.operator.commands import EdgeCommand
 from shared.wire.plans import PlanCodec
 
 # Of the refresh distance, and at most so far [rad]: further ahead velocities tell little.

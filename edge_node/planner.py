@@ -22,7 +22,7 @@ from shared.motion.step_law import StepLaw
 from shared.robots import Robot
 from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
-from shared.wire.operator import DRIVE_NS, EdgeCommand, Go
+from shared.wire.operator.commands import DRIVE_NS, EdgeCommand, Go
 
 # Steps of one plan at most, before it comes to a stand.
 _MAX_STEPS = 8

@@ -16,7 +16,7 @@ from shared.robots import Robot
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Reference, turned
 from shared.wire.messages import RobotState
-from shared.wire.operator import EdgeCommand
+from shared.wire.operator.commands import EdgeCommand
 from shared.wire.plans import as_sent, law_identity
 
 # Between two plans at least, as the key of plans has 50 Hz.

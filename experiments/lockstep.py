@@ -44,7 +44,8 @@ from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema
 from shared.wire.channels import DOWNLINK, PLANS, UPLINK
 from shared.wire.codec import Codec
-from shared.wire.operator import Command, CommandEvent, EdgeCommand, LinkCommand, Reset
+from shared.wire.operator.commands import Command, EdgeCommand, LinkCommand, Reset
+from shared.wire.operator.events import CommandEvent
 
 _RANK_DELIVERY, _RANK_EDGE, _RANK_MEASURE, _RANK_COMMAND = range(4)
 

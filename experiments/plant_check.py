@@ -7,8 +7,9 @@ from functools import partial
 
 from robot_node.plant import make_plant
 from robot_node.plant_checks import plant_faults
-from shared.process.cli import EXIT_STANDING, add_run_arguments, config_from
+from shared.process.cli import EXIT_STANDING
 from shared.process.entry import EXIT_ERROR
+from shared.process.run_options import add_run_arguments, config_from
 from shared.robots import load_robot
 
 

@@ -8,7 +8,8 @@ import sys
 import tomli_w
 
 from shared.config.config_file import differing, load_config, settings_table
-from shared.process.cli import EXIT_STANDING, add_run_arguments, config_from
+from shared.process.cli import EXIT_STANDING
+from shared.process.run_options import add_run_arguments, config_from
 
 
 def add_config_arguments(parser: argparse.ArgumentParser) -> None:

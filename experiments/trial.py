@@ -15,10 +15,11 @@ from shared.config.settings import RunConfig
 from shared.errors import ConfigError, writing
 from shared.output.screen import StatusLine
 from shared.output.summary import summary_in_words
-from shared.process.cli import EXIT_FELL, EXIT_STANDING, add_run_arguments, config_from
+from shared.process.cli import EXIT_FELL, EXIT_STANDING
+from shared.process.run_options import add_run_arguments, config_from
 from shared.telemetry.parquet import write_parquet
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA
-from shared.wire.operator import EVENTS_FILE, CommandEvent, read_events, write_events
+from shared.wire.operator.events import EVENTS_FILE, CommandEvent, read_events, write_events
 
 # A shorter trial has no line of progress.
 _QUIET_SECONDS = 2.0

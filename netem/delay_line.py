@@ -18,7 +18,7 @@ import numpy as np
 from netem.profile import DIRECTIONS, LOST, Profile, begin_ns
 from shared.config.quantities import Outage
 from shared.config.settings import LinkConfig
-from shared.wire.operator import AddDelay, Cut, LinkCommand, Restore, SetLoss, Stall
+from shared.wire.operator.commands import AddDelay, Cut, LinkCommand, Restore, SetLoss, Stall
 
 # Outages that overlap; of more, the last ones count.
 _MAX_OUTAGES = 100

@@ -6,7 +6,7 @@ import argparse
 
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError
-from shared.process.cli import add_run_arguments, config_from
+from shared.process.run_options import add_run_arguments, config_from
 
 
 def add_link_arguments(parser: argparse.ArgumentParser) -> None:

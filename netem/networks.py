@@ -16,7 +16,7 @@ from netem.profile import DelayProfile, Profile
 from netem.profile_file import is_file, read_profile
 from shared.config.quantities import parse_duration_ns
 from shared.errors import ConfigError, ProfileError, did_you_mean
-from shared.wire.operator import LinkCommand, ReplaceProfile
+from shared.wire.operator.commands import LinkCommand, ReplaceProfile
 
 SHIPPED = Path(__file__).parent / "profiles"
 CAPACITY = "capacity:"

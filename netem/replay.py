@@ -32,12 +32,8 @@ from shared.process.service import (
 )
 from shared.telemetry.schema import LINK_SCHEMA
 from shared.wire.channels import DOWNLINK, LINK_KEY, PLANS, UPLINK
-from shared.wire.operator import (
-    LINK_COMMANDS_KEY,
-    Accepted,
-    Command,
-    LinkCommand,
-)
+from shared.wire.operator.commands import Accepted, Command, LinkCommand
+from shared.wire.operator.messages import LINK_COMMANDS_KEY
 
 _PRIORITY = 20
 # With fewer cores, spinning takes time from robot and edge (`docs/timing.md`).

@@ -21,7 +21,7 @@ from shared.bus.base import Delivery, Publisher
 from shared.clock import ScaledClock
 from shared.config.settings import LinkConfig
 from shared.errors import LinkError
-from shared.wire.operator import LinkCommand
+from shared.wire.operator.commands import LinkCommand
 
 _IDLE_SECONDS = 0.1
 # Messages of each direction released in one go. At the end of an outage hundreds of messages leave

@@ -24,16 +24,10 @@ from shared.motion.plan import make_motion
 from shared.output.fall import fall_in_words, torque_limits
 from shared.output.report import robot_report
 from shared.output.sources import commands_in_words
-from shared.process.cli import (
-    EXIT_FELL,
-    EXIT_STANDING,
-    Parser,
-    add_run_arguments,
-    config_from,
-    run,
-)
+from shared.process.cli import EXIT_FELL, EXIT_STANDING, Parser, run
 from shared.process.entry import EXIT_INTERRUPTED
 from shared.process.realtime import prepare, suspend_garbage_collection
+from shared.process.run_options import add_run_arguments, config_from
 from shared.process.service import (
     NETEM_ENDPOINT,
     ServiceLog,

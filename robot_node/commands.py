@@ -13,21 +13,18 @@ from shared.bus.operator import CommandServer
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.extensions import CONTROLLERS
 from shared.errors import ConfigError, LinkError
-from shared.wire.operator import (
-    CLOCK_KEY,
-    EVENTS_KEY,
-    ROBOT_COMMANDS_KEY,
+from shared.wire.operator.commands import (
     Accepted,
     Command,
-    CommandEvent,
     EdgeCommand,
     LinkCommand,
     Pause,
     Reset,
     Speed,
     SwitchController,
-    encode_event,
 )
+from shared.wire.operator.events import CommandEvent
+from shared.wire.operator.messages import CLOCK_KEY, EVENTS_KEY, ROBOT_COMMANDS_KEY, encode_event
 from shared.wire.robot_clock import ClockReading, encode_clock
 
 

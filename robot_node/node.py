@@ -56,7 +56,7 @@ from shared.wbc.reference import Motion, Reference
 from shared.wbc.stack import make_stacks
 from shared.wire.codec import Codec
 from shared.wire.messages import RobotState, StepReport
-from shared.wire.operator import PushCommand, Reset, RobotCommand, SwitchController
+from shared.wire.operator.commands import PushCommand, Reset, RobotCommand, SwitchController
 
 # Pushes of an operator that act at the same time.
 _MAX_PUSHES = 20

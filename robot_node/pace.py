@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from shared.clock import ScaledClock
-from shared.wire.operator import Pause, Resume, RobotCommand, Speed, Step
+from shared.wire.operator.commands import Pause, Resume, RobotCommand, Speed, Step
 
 
 class Pace:

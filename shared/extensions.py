@@ -10,11 +10,9 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib
-import importlib.metadata
 import importlib.util
-import inspect
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -157,6 +155,8 @@ class Extensions(Names):
     def _check_call(
         self, value: str, name: str, function: Callable[..., Any], taken: Taken
     ) -> None:
+        import inspect
+
         try:
             signature = inspect.signature(function)
         except (TypeError, ValueError):
@@ -184,8 +184,10 @@ class Extensions(Names):
 @functools.cache
 def announced(group: str) -> dict[str, str]:
     """Return the references of installed packages by the names of their entry points."""
-    found: Iterable[importlib.metadata.EntryPoint] = importlib.metadata.entry_points(group=group)
-    return {each.name: each.value for each in found}
+    # Imported here, as `inspect` above: most commands use the project's own names alone.
+    from importlib.metadata import entry_points
+
+    return {each.name: each.value for each in entry_points(group=group)}
 
 
 def _module_of_file(path: Path) -> ModuleType:

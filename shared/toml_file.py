@@ -9,11 +9,6 @@ from typing import Any
 from shared.errors import ConfigError
 from shared.regular_file import read_regular
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:  # pragma: no cover
-    import tomli as tomllib
-
 _MAX_BYTES = 1_000_000
 # More than any file of this project has, and far less than Python's recursion can take.
 _MAX_DEPTH = 30
@@ -23,6 +18,12 @@ _MAX_DOTS = 500
 
 def read_toml(path: Path, *, what: str) -> dict[str, Any]:
     """Return the table in a file; raise `ConfigError`, which begins with `what`, if it has none."""
+    # Imported here: commands to a running stack read no file.
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:  # pragma: no cover
+        import tomli as tomllib
+
     try:
         text = read_regular(path, at_most=_MAX_BYTES).decode("utf-8-sig")
         table = None if _has_long_key(text) else tomllib.loads(text)

@@ -18,7 +18,7 @@ from shared.config.settings import RunConfig
 from shared.robots import Robot, load_robot
 from shared.telemetry.row_log import decode_rows
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
-from shared.wire.operator import VIEW_KEY
+from shared.wire.operator.messages import VIEW_KEY
 from viewer.blueprint import layout
 from viewer.display import Display
 from viewer.intake import NICENESS, BlockQueue, connect, subscribe

@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from deploy.background.control_client import request_restart
 from deploy.background.registry import Registry
 from deploy.background.state import (
     ENDED,
@@ -225,9 +226,6 @@ def _lines(file: Path, following: StackFolder | None) -> Iterator[str]:
 
 def run_restart(arguments: argparse.Namespace) -> int:
     """End one service and start it again; return when it is ready."""
-    # Imported here: asyncio takes as long to load as everything that the other commands need.
-    from deploy.background.control_server import request_restart
-
     stack, _ = _one_with(arguments.service, arguments)
     if not stack.alive:
         raise ConfigError(f"nothing is running; {wbc('up -d')} starts a stack")

@@ -1,6 +1,8 @@
-"""Control a running stack over its socket.
+"""Serve requests to a running stack over its control socket, which other users cannot reach.
 
-A connection carries one request and one answer, each a line of JSON.
+A connection carries one request and one answer, each a line of JSON. A request is a table with one
+key, its name: `{"restart": "edge"}`, `{"command": "link cut"}`. The answer to a request that is
+refused is `{"error": …}`.
 """
 
 from __future__ import annotations
@@ -8,19 +10,24 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
 
 from deploy.background.state import StackFolder, within
-from shared.commands import wbc
-from shared.errors import LinkError, UserError
+from shared.errors import UserError, one_of
+
+# The requests by name. Each takes a text, and returns the answer.
+Requests = Mapping[str, Callable[[str], Awaitable[dict[str, Any]]]]
+# Requests that may wait for their answers. A flood of them should cost this process little.
+_MAX_OPEN = 8
 
 
 class ControlServer:
-    """Serves requests while a stack runs. `restart` is the only request."""
+    """Serves requests while a stack runs."""
 
-    def __init__(self, stack: StackFolder, restart: Callable[[str], Awaitable[None]]) -> None:
+    def __init__(self, stack: StackFolder, requests: Requests) -> None:
         self._stack = stack
-        self._restart = restart
+        self._requests = requests
         self._server: asyncio.Server | None = None
         self._open: set[asyncio.Task[None]] = set()
 
@@ -44,37 +51,23 @@ class ControlServer:
         task = asyncio.current_task()
         assert task is not None
         self._open.add(task)
-        answer = {"error": "the stack ended meanwhile"}
+        answer: dict[str, Any] = {"error": "the stack ended meanwhile"}
         try:
-            request = json.loads(await reader.readline())
-            await self._restart(str(request["restart"]))
-            answer = {}
-        except UserError as error:
-            answer = {"error": str(error)}
-        except (ValueError, KeyError, TypeError):
-            answer = {"error": "not a request"}
+            answer = await self._answer(reader)
         finally:
             writer.write(json.dumps(answer).encode() + b"\n")
             writer.close()
             self._open.discard(task)
 
-
-def request_restart(stack: StackFolder, service: str, *, within_seconds: float) -> None:
-    """Ask a stack to start a service again; return when it is ready.
-
-    Raise `LinkError` if it does not become ready.
-    """
-    asking = socket.socket(socket.AF_UNIX)
-    asking.settimeout(within_seconds)
-    try:
-        with asking, within(stack.folder):
-            asking.connect(stack.control.name)
-            asking.sendall(json.dumps({"restart": service}).encode() + b"\n")
-            with asking.makefile(encoding="utf-8") as answers:
-                answer = json.loads(answers.readline())
-    except (OSError, ValueError):
-        raise LinkError(
-            f"restart: {stack.run} does not answer; {wbc('ps')} says whether it runs"
-        ) from None
-    if "error" in answer:
-        raise LinkError(answer["error"])
+    async def _answer(self, reader: asyncio.StreamReader) -> dict[str, Any]:
+        try:
+            if len(self._open) > _MAX_OPEN:
+                return {"error": f"expected at most {_MAX_OPEN} requests at once; try again"}
+            ((name, text),) = json.loads(await reader.readline()).items()
+            if name not in self._requests:
+                return {"error": f"request: {one_of(self._requests, name)}"}
+            return await self._requests[name](str(text))
+        except UserError as error:
+            return {"error": str(error)}
+        except (ValueError, AttributeError, RecursionError):
+            return {"error": "not a request"}

@@ -74,7 +74,6 @@ class StackState:
     outcome: str = ""
     exit_code: int | None = None
     started: int | None = None
-    hub: str = ""
 
     @property
     def degraded(self) -> tuple[str, ...]:

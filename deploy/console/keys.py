@@ -13,7 +13,8 @@ import termios
 import tty
 from collections.abc import Iterator
 
-from shared.wire.operator import Command, parse_command
+from shared.wire.operator.commands import Command
+from shared.wire.operator.texts import parse_command
 
 _PUSH = "80N"
 _ENTER = ("\n", "\r")

@@ -30,13 +30,15 @@ from shared.commands import python_module
 from shared.config.settings import RunConfig
 from shared.errors import LinkError, MessageRefused, writing
 from shared.output.summary import summary_in_words
-from shared.process.cli import EXIT_STANDING, Parser, add_run_arguments, config_from, run
+from shared.process.cli import EXIT_STANDING, Parser, run
+from shared.process.run_options import add_run_arguments, config_from
 from shared.process.service import StopSignal
 from shared.robots import load_robot
 from shared.telemetry.lives import lives
 from shared.telemetry.schema import tick_schema
 from shared.wire.channels import LINK_KEY, TICKS_KEY
-from shared.wire.operator import EVENTS_FILE, EVENTS_KEY, decode_event
+from shared.wire.operator.events import EVENTS_FILE
+from shared.wire.operator.messages import EVENTS_KEY, decode_event
 
 _SOCKET = "unixsock-stream/"
 # The system allows 107 characters. Zenoh adds a file with five more.

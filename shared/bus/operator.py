@@ -16,17 +16,14 @@ from shared.bus.base import Delivery
 from shared.bus.zenoh_bus import ZenohBus
 from shared.clock import ScaledClock
 from shared.errors import LinkError, MessageRefused, UserError
-from shared.wire.operator import (
+from shared.wire.operator.commands import Accepted, Command, EdgeCommand, LinkCommand
+from shared.wire.operator.events import CommandEvent
+from shared.wire.operator.messages import (
     CLOCK_KEY,
     EDGE_COMMANDS_KEY,
     EVENTS_KEY,
     LINK_COMMANDS_KEY,
     ROBOT_COMMANDS_KEY,
-    Accepted,
-    Command,
-    CommandEvent,
-    EdgeCommand,
-    LinkCommand,
     decode_answer,
     decode_command,
     encode_answer,

@@ -1,8 +1,8 @@
 """A setting as a field of a dataclass: its default, its help, its bounds and its flag.
 
 The field is the only place that describes a setting. Its check is made from the field here, its
-flag in `shared/process/cli.py`, its key in `config_file`, and its line of `docs/configuration.md`
-in `experiments/settings_page.py`.
+flag in `shared/process/run_options.py`, its key in `config_file`, and its line of
+`docs/configuration.md` in `experiments/settings_page.py`.
 """
 
 from __future__ import annotations

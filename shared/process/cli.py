@@ -1,4 +1,8 @@
-"""The command line of every entry point: the same flags, one-line errors, the same exit codes."""
+"""The command line of every entry point: its commands, one-line errors, the same exit codes.
+
+Commands to a running stack have to be quick, so this module imports no settings. The options of a
+run are in `shared/process/run_options.py`.
+"""
 
 from __future__ import annotations
 
@@ -13,23 +17,14 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NoReturn
 
-from shared.bus.base import CLOSING
 from shared.commands import wbc
-from shared.config.quantities import parse_duration_ns, parse_seconds
-from shared.config.setting import Setting
-from shared.config.settings import SETTINGS, RunConfig
-from shared.errors import ConfigError, UserError, did_you_mean
-from shared.extensions import Names
+from shared.errors import UserError, did_you_mean
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, end_at_interrupt
 
 EXIT_STANDING = 0
 EXIT_FELL = 3
-_FLAGGED = {key: each for key, each in SETTINGS.items() if each.flag}
-_VIEW = "view"
-_ASKS_FOR_HELP = {"-h", "--help"}
 _INVALID_CHOICE = re.compile(r"invalid choice: '(.*)' \(choose from (.*)\)")
 _UNRECOGNIZED = re.compile(r"unrecognized arguments: (--[^ =]+)")
 _OUTPUT_ERRORS = (errno.ENOSPC, errno.EIO, errno.EBADF)
@@ -133,108 +128,18 @@ def _add_commands(
     typed: Sequence[str] | None,
 ) -> None:
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in commands:
+    word = None if typed is None else typed[:1]
+    # Help and errors name all commands. A parser for each takes longer than most commands.
+    for command in [each for each in commands if word == [each.name]] or commands:
         subparser = subparsers.add_parser(command.name, help=command.help, description=command.help)
         subparser.set_defaults(parser=subparser)
-        if typed is not None and typed[:1] != [command.name]:
+        if word is not None and word != [command.name]:
             continue
         if isinstance(command, Group):
             _add_commands(subparser, command.commands, None if typed is None else typed[1:])
         else:
             command.add_arguments(subparser)
             subparser.set_defaults(run_command=command.run)
-
-
-def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that describe a run. Each overrides the configuration file."""
-    group = parser.add_argument_group("the run (flags override --config)")
-    group.add_argument("--config", metavar="FILE.toml", help="settings; see docs/configuration.md")
-    walk = parser.add_argument_group("the walk (with --task walk or go)")
-    for key, each in _FLAGGED.items():
-        if key != _VIEW:
-            _add_flag(walk if key.startswith("walk.") else group, each)
-    walk.add_argument(
-        "--on-board-delay",
-        metavar="25ms",
-        help="time from a state to its full QP's solution on board (Table III: the link's delay)",
-    )
-
-
-def add_view_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the live view."""
-    _add_flag(parser, SETTINGS[_VIEW])
-
-
-def _add_flag(group: argparse._ActionsContainer, setting: Setting) -> None:
-    text = setting.help + (f" [{setting.unit}]" if setting.unit else "")
-    if isinstance(setting.choices, Names):
-        # To find the names of installed packages takes long.
-        names = setting.choices.names() if _ASKS_FOR_HELP & set(sys.argv) else setting.choices.own
-        text += f"; one of {', '.join(names)}, {setting.choices.forms}"
-    elif setting.words:
-        text += f"; one of {', '.join(setting.words)}"
-    options: dict[str, Any] = {"help": text.replace("%", "%%")}
-    if setting.kind is bool:
-        options |= {"action": argparse.BooleanOptionalAction}
-    elif setting.kind is tuple:
-        options["help"] += "; repeatable; or none"
-        options |= {"action": "append", "metavar": setting.metavar}
-    else:
-        options |= {"type": _reader(setting), "metavar": setting.metavar}
-    group.add_argument(*setting.flags, **options)
-
-
-def _reader(setting: Setting) -> Callable[[str], Any]:
-    """Return the function that makes the setting's value from its text on the command line."""
-    if isinstance(setting.choices, Names):
-        return partial(_extension, setting.choices)
-    if setting.words:
-        return str.lower  # all words of the settings are in lower case
-    seconds = setting.kind is float and setting.unit == "s"
-    read = setting.read or (parse_seconds if seconds else None)
-    if read is None:
-        return setting.kind
-
-    def value(text: str) -> Any:
-        try:
-            return read(text)
-        except ConfigError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
-
-    return value
-
-
-def _extension(choices: Names, text: str) -> str:
-    return text.lower() if text.lower() in choices.own else text
-
-
-def _given(arguments: argparse.Namespace, key: str, setting: Setting) -> Any:
-    """Return the value of a setting on the command line; None if its flag is not given."""
-    value = getattr(arguments, setting.flag.removeprefix("--").replace("-", "_"), None)
-    if setting.kind is not tuple or value is None or "none" not in value:
-        return value
-    if len(value) > 1:
-        raise ConfigError(f"{key}: expected none by itself, got {' and '.join(value)}")
-    return []
-
-
-def config_from(arguments: argparse.Namespace) -> RunConfig:
-    """Return the settings of the run that the arguments describe."""
-    from shared.config.config_file import load_config
-
-    given = {key: _given(arguments, key, each) for key, each in _FLAGGED.items()}
-    overrides = {key: value for key, value in given.items() if value is not None}
-    delay = getattr(arguments, "on_board_delay", None)
-    if delay is not None:
-        overrides["switch.compute_ns"] = parse_duration_ns(delay)
-        overrides["switch.compute_time_scale"] = 1.0
-    config = load_config(arguments.config, overrides)
-    walking = [key for key in overrides if key.startswith(("walk.", "switch."))]
-    if walking and not config.walks:
-        raise ConfigError(f"{walking[0]}: only a walk has this setting; add --task walk")
-    if "walk.goal" in overrides and config.task != "go":
-        raise ConfigError("walk.goal: only the task go has a goal; add --task go")
-    return config
 
 
 def run(main: Callable[[], int]) -> NoReturn:
@@ -272,13 +177,20 @@ def run(main: Callable[[], int]) -> NoReturn:
             file=sys.stderr,
         )
         code = EXIT_ERROR
-    if any(thread.name == CLOSING for thread in threading.enumerate()):
+    if threading.active_count() > 1 and _closes_a_bus():
         # Python would wait for this thread, or abort in it.
         _flush_output()
         os._exit(code)
     if silent:
         end_at_interrupt(code)
     raise SystemExit(code)
+
+
+def _closes_a_bus() -> bool:
+    """Return whether a thread still closes a session."""
+    from shared.bus.base import CLOSING
+
+    return any(thread.name == CLOSING for thread in threading.enumerate())
 
 
 def _flush_output() -> None:

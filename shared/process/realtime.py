@@ -60,6 +60,46 @@ class RealtimeBudget:
         self._began_ns, self._used_ns = now_ns, used_ns
 
 
+class RealtimeShare:
+    """Gives a loop real-time priority for a share of a core, and ordinary scheduling beyond it.
+
+    A loop that calls `keep` in every turn uses at least its `share`, whatever else runs. When it
+    has used the share in a window, it competes with ordinary processes until the window ends.
+    Without real-time scheduling this does nothing.
+    """
+
+    WINDOW_NS = 20_000_000
+
+    def __init__(self, share: float) -> None:
+        self._share_ns = share * self.WINDOW_NS
+        self._realtime = _scheduling()
+        self._beyond = False
+        self._began_ns, self._used_ns = time.monotonic_ns(), time.thread_time_ns()
+
+    def keep(self, now_ns: int) -> None:
+        """Change this thread's scheduling if a window has ended, or its share is used."""
+        if self._realtime is None:
+            return
+        used_ns = time.thread_time_ns()
+        if now_ns - self._began_ns >= self.WINDOW_NS:
+            self._began_ns, self._used_ns = now_ns, used_ns
+            if self._beyond:
+                os.sched_setscheduler(0, *self._realtime)
+                self._beyond = False
+        elif not self._beyond and used_ns - self._used_ns > self._share_ns:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            self._beyond = True
+
+
+def _scheduling() -> tuple[int, os.sched_param] | None:
+    """Return this thread's real-time scheduling; None if it has none."""
+    try:
+        policy = os.sched_getscheduler(0)
+        return (policy, os.sched_getparam(0)) if policy == os.SCHED_FIFO else None
+    except (OSError, AttributeError):
+        return None
+
+
 def realtime_share() -> float:
     """Return the share of a core that Linux leaves to this thread if it never sleeps.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import enum
 import hashlib
-import importlib.metadata
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -134,8 +133,10 @@ class Robot:
 
 def data_folder() -> Path:
     """Folder of the installed robot data, in which `package://example-robot-data` lies."""
-    distribution = importlib.metadata.distribution("example-robot-data")
-    return Path(str(distribution.locate_file("cmeel.prefix/share")))
+    # Imported here: it takes longer to load than a description.
+    from importlib.metadata import distribution
+
+    return Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share")))
 
 
 def sole_frame_name(side: Foot) -> str:

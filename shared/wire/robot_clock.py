@@ -11,7 +11,7 @@ from dataclasses import astuple, dataclass
 import msgpack
 
 from shared.errors import MessageRefused
-from shared.wire.operator import TICK_NS
+from shared.wire.operator.commands import TICK_NS
 
 _MAX_BYTES = 100
 # Of bytes that another program may have sent.

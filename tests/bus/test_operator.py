@@ -14,15 +14,8 @@ from shared.bus import operator
 from shared.bus.operator import CommandClient, CommandServer
 from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import ConfigError, LinkError
-from shared.wire.operator import (
-    LINK_COMMANDS_KEY,
-    ROBOT_COMMANDS_KEY,
-    Accepted,
-    Command,
-    Cut,
-    Pause,
-    encode_command,
-)
+from shared.wire.operator.commands import Accepted, Command, Cut, Pause
+from shared.wire.operator.messages import LINK_COMMANDS_KEY, ROBOT_COMMANDS_KEY, encode_command
 from tests.processes import PATIENCE_SECONDS, until
 
 pytestmark = pytest.mark.live

@@ -14,7 +14,8 @@ from shared.config.config_file import load_config
 from shared.config.extensions import CONTROLLERS, PLANTS, TABLES, TASKS, corrects
 from shared.errors import ConfigError
 from shared.motion.plan import make_motion
-from shared.process.cli import Parser, add_run_arguments, config_from
+from shared.process.cli import Parser
+from shared.process.run_options import add_run_arguments, config_from
 
 SHORT = {"duration": 0.05, "link.network": "constant:5ms"}
 CONTROLLER = """

@@ -11,7 +11,8 @@ from shared.config.config_file import load_config
 from shared.config.setting import sections_of, setting
 from shared.config.settings import SETTINGS
 from shared.errors import ConfigError
-from shared.process.cli import Parser, _add_flag, _given
+from shared.process.cli import Parser
+from shared.process.run_options import _add_flag, _given
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from deploy.console.keys import commands_of, keys_in_words
 from deploy.drive import Gamepad, Hand
 from shared.errors import ConfigError, LinkError
 from shared.process.cli import Parser
-from shared.wire.operator import Cut, Drive, PushCommand, SwitchController
+from shared.wire.operator.commands import Cut, Drive, PushCommand, SwitchController
 
 NOBODY = 2**22 + 1
 STOP = Drive(0.0, 0.0, 0.0)
@@ -28,13 +28,13 @@ def own_registry(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(registry, "registry_folder", lambda: tmp_path / "stacks")
 
 
-def running(run: Path, robot: str = "romeo", *named: str, hub: str = "") -> StackFolder:
+def running(run: Path, robot: str = "romeo", *named: str) -> StackFolder:
     """The folder of a stack whose lock is held by the caller, once it has claimed it."""
     run.mkdir()
     stack = StackFolder(run)
     stack.claim().close()
     services = named or ("edge", "netem", "robot")
-    stack.write(StackState(os.getpid(), robot, services, READY, 9.0, hub=hub))
+    stack.write(StackState(os.getpid(), robot, services, READY, 9.0))
     return stack
 
 
@@ -82,8 +82,8 @@ def test_one_stack_is_chosen_by_itself_and_one_of_several_by_name_or_folder(
 ) -> None:
     amy = running(tmp_path / "amy", "amy")
     with amy.claim(), in_terminal(amy.run):
-        # It is found, and has no hub yet.
-        with pytest.raises(LinkError, match="has not opened its hub yet"):
+        # It is found, and has no control socket yet.
+        with pytest.raises(LinkError, match="takes no commands yet"):
             sent("pause")
         bob = running(tmp_path / "bob", "bob", "robot")
         with bob.claim():
@@ -92,12 +92,12 @@ def test_one_stack_is_chosen_by_itself_and_one_of_several_by_name_or_folder(
             with pytest.raises(ConfigError, match=r"several stacks run: .*; select one with"):
                 sent("pause")
             for chosen in (("--name", "bob"), ("--run", str(bob.run))):
-                with pytest.raises(LinkError, match="has not opened its hub yet"):
+                with pytest.raises(LinkError, match="takes no commands yet"):
                     sent("pause", *chosen)
             with pytest.raises(ConfigError, match="link cut: expected a stack with netem"):
                 sent("link", "cut", "--name", "bob")
             # Only one of them has a link.
-            with pytest.raises(LinkError, match="has not opened its hub yet"):
+            with pytest.raises(LinkError, match="takes no commands yet"):
                 sent("link", "cut")
     with pytest.raises(ConfigError, match="no stack runs"):
         sent("pause")

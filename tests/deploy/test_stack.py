@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from deploy.background.state import ENDED, StackFolder
-from deploy.plan import ROBOT, Plan, PlannedService
-from deploy.services import load_services
+from deploy.plan import Plan, PlannedService
+from deploy.services import ROBOT, load_services
 from deploy.stack import Run, StackRun
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError, LinkError

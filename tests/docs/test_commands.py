@@ -13,7 +13,8 @@ from remote_wbc import commands
 from shared.config.config_file import load_config
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError
-from shared.process.cli import Group, Parser, command_parser, config_from
+from shared.process.cli import Group, Parser, command_parser
+from shared.process.run_options import config_from
 from tests.robots.biped import write_biped
 
 ROOT = Path(__file__).parents[2]

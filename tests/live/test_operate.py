@@ -12,7 +12,8 @@ import pytest
 
 from deploy.background.state import StackFolder
 from shared.process.entry import python
-from shared.wire.operator import CommandEvent, Cut, Restore, read_events
+from shared.wire.operator.commands import Cut, Restore
+from shared.wire.operator.events import CommandEvent, read_events
 from tests.processes import Process, descendants_naming, played, until
 
 pytestmark = pytest.mark.live

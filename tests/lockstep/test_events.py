@@ -15,7 +15,7 @@ from shared.config.config_file import load_config
 from shared.errors import ConfigError, ProfileError
 from shared.telemetry.schema import LINK_SCHEMA, Source
 from shared.wbc.contacts import ContactMode
-from shared.wire.operator import parse_event, read_events
+from shared.wire.operator.events import parse_event, read_events
 from tests.lockstep.test_stepping import WALK
 
 MS = 1_000_000

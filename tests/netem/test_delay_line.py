@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from netem.delay_line import DelayLine
 from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
 from shared.config.quantities import parse_outage
-from shared.wire.operator import AddDelay, ReplaceProfile, parse_command
+from shared.wire.operator.commands import AddDelay, ReplaceProfile
+from shared.wire.operator.texts import parse_command
 
 MS = 1_000_000
 # In tenths of a millisecond: drawn in nanoseconds, most would be too short to overtake anything.

@@ -19,7 +19,7 @@ from shared.config.settings import LinkConfig
 from shared.errors import LinkError
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import LINK_SCHEMA
-from shared.wire.operator import Cut, ReplaceProfile, Restore
+from shared.wire.operator.commands import Cut, ReplaceProfile, Restore
 from tests.processes import PATIENCE_SECONDS, until
 
 MS = 1_000_000

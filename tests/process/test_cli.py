@@ -8,16 +8,9 @@ import pytest
 
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError, LinkError, MessageRefused, ProfileError, UserError
-from shared.process.cli import (
-    EXIT_FELL,
-    EXIT_STANDING,
-    Parser,
-    add_run_arguments,
-    add_view_argument,
-    config_from,
-    run,
-)
+from shared.process.cli import EXIT_FELL, EXIT_STANDING, Parser, run
 from shared.process.entry import EXIT_ERROR, python
+from shared.process.run_options import add_run_arguments, add_view_argument, config_from
 from tests.processes import PATIENCE_SECONDS
 
 

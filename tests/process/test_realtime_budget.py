@@ -1,4 +1,4 @@
-"""A loop stays below the share of a core at which the kernel stops real-time threads."""
+"""A loop stays below the share of a core that the kernel, or its machine, leaves it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 import pytest
 
 from shared.process import realtime
-from shared.process.realtime import RealtimeBudget, realtime_share
+from shared.process.realtime import RealtimeBudget, RealtimeShare, realtime_share
 
 MS = 1_000_000
 
@@ -38,7 +38,9 @@ def core(monkeypatch: pytest.MonkeyPatch) -> Core:
     return core
 
 
-def turns(core: Core, budget: RealtimeBudget, *, work_ns: int, idle_ns: int) -> None:
+def turns(
+    core: Core, budget: RealtimeBudget | RealtimeShare, *, work_ns: int, idle_ns: int
+) -> None:
     for _ in range(10_000):
         core.work(work_ns)
         core.now_ns += idle_ns
@@ -79,3 +81,43 @@ def test_the_share_is_the_kernels_for_real_time_threads(
     monkeypatch.setattr(realtime, "_PERIOD", files[1])
     monkeypatch.setattr(os, "sched_getscheduler", lambda pid: getattr(os, policy))
     assert realtime_share() == share
+
+
+@pytest.fixture
+def policies(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
+    """The thread's scheduling by now, the newest last: policy and priority."""
+    found = [(os.SCHED_FIFO, 10)]
+
+    def put(pid: int, policy: int, parameters: os.sched_param) -> None:
+        found.append((policy, parameters.sched_priority))
+
+    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: found[-1][0])
+    monkeypatch.setattr(os, "sched_getparam", lambda pid: os.sched_param(found[-1][1]))
+    monkeypatch.setattr(os, "sched_setscheduler", put)
+    return found
+
+
+def test_a_busy_loop_has_real_time_priority_for_its_share_of_every_window(core, policies):
+    share, realtime_ns = RealtimeShare(0.2), 0
+    for _ in range(10_000):
+        core.work(MS)
+        realtime_ns += MS if policies[-1][0] == os.SCHED_FIFO else 0
+        share.keep(core.now_ns)
+    # A turn may begin within the share and end beyond it.
+    assert 0.2 <= realtime_ns / core.now_ns <= 0.26
+    assert set(policies) == {(os.SCHED_FIFO, 10), (os.SCHED_OTHER, 0)}
+
+
+def test_a_loop_within_its_share_keeps_its_priority(core, policies):
+    share = RealtimeShare(0.2)
+    for _ in range(1_000):
+        core.work(MS)
+        core.now_ns += 9 * MS
+        share.keep(core.now_ns)
+    assert policies == [(os.SCHED_FIFO, 10)]
+
+
+def test_without_real_time_scheduling_a_share_changes_nothing(core, policies):
+    policies[:] = [(os.SCHED_OTHER, 0)]
+    turns(core, RealtimeShare(0.2), work_ns=MS, idle_ns=0)
+    assert policies == [(os.SCHED_OTHER, 0)]

@@ -10,7 +10,7 @@ from robot_node.corrected import LocallyCorrected
 from robot_node.pace import Pace
 from shared.errors import ConfigError
 from shared.telemetry.schema import Source
-from shared.wire.operator import (
+from shared.wire.operator.commands import (
     Pause,
     Reset,
     Resume,
@@ -18,8 +18,8 @@ from shared.wire.operator import (
     Speed,
     Step,
     SwitchController,
-    parse_command,
 )
+from shared.wire.operator.texts import parse_command
 from tests.robot_node.bench import MS, SESSION, Bench, nothing
 
 

@@ -15,7 +15,7 @@ from shared.motion.standing import Standing
 from shared.motion.step_law import make_step_law
 from shared.robots import Foot
 from shared.wbc.contacts import ContactMode
-from shared.wire.operator import Reset
+from shared.wire.operator.commands import Reset
 
 DOUBLE, LEFT = ContactMode.DOUBLE_SUPPORT, ContactMode.LEFT_SUPPORT
 MS = 1_000_000

@@ -28,16 +28,10 @@ from shared.errors import ConfigError
 from shared.robots import Robot
 from shared.telemetry.row_log import encode_rows
 from shared.wire.channels import TICKS_KEY
-from shared.wire.operator import (
-    EVENTS_KEY,
-    ROBOT_COMMANDS_KEY,
-    VIEW_KEY,
-    Accepted,
-    Command,
-    CommandEvent,
-    encode_event,
-    parse_command,
-)
+from shared.wire.operator.commands import Accepted, Command
+from shared.wire.operator.events import CommandEvent
+from shared.wire.operator.messages import EVENTS_KEY, ROBOT_COMMANDS_KEY, VIEW_KEY, encode_event
+from shared.wire.operator.texts import parse_command
 from tests.processes import PATIENCE_SECONDS, Process, until
 from tests.telemetry_hub import is_heard
 from tests.viewer.synthetic import WALL_START_NS, link_rows, solve_rows, tick_rows

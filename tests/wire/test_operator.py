@@ -11,11 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared.errors import ConfigError, MessageRefused
-from shared.wire.operator import (
+from shared.wire.operator.commands import (
     Accepted,
     AddDelay,
     Command,
-    CommandEvent,
     Cut,
     Drive,
     Go,
@@ -30,17 +29,17 @@ from shared.wire.operator import (
     Stall,
     Step,
     SwitchController,
+)
+from shared.wire.operator.events import CommandEvent, parse_event, read_events, write_events
+from shared.wire.operator.messages import (
     decode_answer,
     decode_command,
     decode_event,
     encode_answer,
     encode_command,
     encode_event,
-    parse_command,
-    parse_event,
-    read_events,
-    write_events,
 )
+from shared.wire.operator.texts import parse_command
 from shared.wire.robot_clock import ClockReading, decode_clock, encode_clock
 
 MS = 1_000_000

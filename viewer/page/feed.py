@@ -19,7 +19,7 @@ from shared.robots import Robot
 from shared.telemetry.row_log import decode_rows
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, Source, tick_schema
 from shared.wbc.contacts import ContactMode
-from shared.wire.operator import decode_event
+from shared.wire.operator.messages import decode_event
 from viewer.page.strip import Strip
 from viewer.pose import PoseModel
 from viewer.verdict import Verdict

@@ -12,13 +12,9 @@ from shared.bus.operator import CommandClient
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.settings import RunConfig
 from shared.robots import load_robot
-from shared.wire.operator import (
-    EVENTS_KEY,
-    VIEW_KEY,
-    CommandEvent,
-    encode_event,
-    parse_command,
-)
+from shared.wire.operator.events import CommandEvent
+from shared.wire.operator.messages import EVENTS_KEY, VIEW_KEY, encode_event
+from shared.wire.operator.texts import parse_command
 from viewer.camera import focus_height
 from viewer.intake import NICENESS, BlockQueue, connect, subscribe
 from viewer.page.feed import Feed

@@ -1,0 +1,162 @@
+"""Requests to a stack over its control socket: one answer each, and from this user alone."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deploy.background import control_server
+from deploy.background.control_client import StackClient, request_restart
+from deploy.background.control_server import ControlServer
+from deploy.background.state import StackFolder
+from shared.errors import ConfigError, LinkError
+from shared.process.entry import python
+from shared.wire.operator.commands import Accepted, Cut, Restore
+from tests.processes import played
+
+# Modules that take long to load, and that no command to a running stack needs.
+HEAVY = ("numpy", "zenoh", "pinocchio", "msgpack", "asyncio", "ssl", "shared.config.settings")
+
+
+@pytest.fixture
+def stack(tmp_path: Path) -> StackFolder:
+    made = StackFolder(tmp_path)
+    made.claim().close()
+    return made
+
+
+@asynccontextmanager
+async def served(stack: StackFolder, command: Callable[[str], Any]) -> AsyncIterator[None]:
+    async def restart(service: str) -> dict[str, Any]:
+        raise ConfigError(f"restart: {service} is starting already")
+
+    async def carry_out(text: str) -> dict[str, Any]:
+        answer: dict[str, Any] = await command(text)
+        return answer
+
+    async with ControlServer(stack, {"restart": restart, "command": carry_out}):
+        yield
+
+
+def test_a_command_has_one_answer_over_the_control_socket(stack: StackFolder) -> None:
+    texts = []
+
+    async def command(text: str) -> dict[str, Any]:
+        texts.append(text)
+        if text != "link cut":
+            raise LinkError(f"{text}: not now")
+        return {"time_ns": 7_000_000, "note": "a note"}
+
+    async def play() -> None:
+        client = StackClient(stack)
+        async with served(stack, command):
+            accepted = await asyncio.to_thread(client.send, Cut())
+            assert accepted == Accepted(7_000_000, "a note")
+            with pytest.raises(LinkError, match=r"^link restore: not now$"):
+                await asyncio.to_thread(client.send, Restore())
+            with pytest.raises(LinkError, match="edge is starting already"):
+                await asyncio.to_thread(request_restart, stack, "edge", within_seconds=30.0)
+        with pytest.raises(LinkError, match="does not answer"):
+            client.send(Cut())
+
+    asyncio.run(play())
+    assert texts == ["link cut", "link restore"]
+
+
+def told(stack: StackFolder, line: bytes) -> bytes:
+    """The answer to a line that no client of ours sends."""
+    with socket.socket(socket.AF_UNIX) as asking:
+        asking.connect(str(stack.control))
+        asking.sendall(line + b"\n")
+        with asking.makefile("rb") as answers:
+            return answers.readline()
+
+
+def test_a_line_that_is_no_request_is_refused_and_ends_nothing(stack: StackFolder) -> None:
+    async def command(text: str) -> dict[str, Any]:
+        return {"time_ns": 0, "note": ""}
+
+    async def play() -> None:
+        async with served(stack, command):
+            for line in (b"", b"[]", b"{}", b'{"a": 1, "b": 2}', b"\xff", b"x" * 100_000):
+                answer = await asyncio.to_thread(told, stack, line)
+                assert b'"error": "not a request"' in answer
+            assert b"did you mean restart?" in await asyncio.to_thread(
+                told, stack, b'{"restrat": ""}'
+            )
+            assert (await asyncio.to_thread(StackClient(stack).send, Cut())).time_ns == 0
+
+    asyncio.run(play())
+
+
+def test_of_a_flood_of_requests_few_wait_and_the_others_are_refused(
+    stack: StackFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control_server, "_MAX_OPEN", 2)
+    begun, over = [], asyncio.Event()
+
+    async def command(text: str) -> dict[str, Any]:
+        begun.append(text)
+        await over.wait()
+        return {"time_ns": 0, "note": ""}
+
+    async def play() -> None:
+        client = StackClient(stack)
+        async with served(stack, command):
+            waiting = [asyncio.create_task(asyncio.to_thread(client.send, Cut())) for _ in range(2)]
+            while len(begun) < 2:
+                await asyncio.sleep(0)
+            with pytest.raises(LinkError, match="expected at most 2 requests at once; try again"):
+                await asyncio.to_thread(client.send, Cut())
+            over.set()
+            await asyncio.gather(*waiting)
+        assert len(begun) == 2
+
+    asyncio.run(play())
+
+
+def test_another_user_cannot_reach_the_control_socket(stack: StackFolder, tmp_path: Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root can act as another user")
+    for folder in (tmp_path, *tmp_path.parents[:2]):
+        folder.chmod(0o755)
+
+    async def command(text: str) -> dict[str, Any]:
+        return {"time_ns": 0, "note": ""}
+
+    async def play() -> int:
+        async with served(stack, command):
+            child = os.fork()
+            if child == 0:
+                os.setuid(65534)
+                try:
+                    os.stat(tmp_path)
+                    socket.socket(socket.AF_UNIX).connect(str(stack.control))
+                except PermissionError as error:
+                    os._exit(0 if error.filename is None else 2)
+                except BaseException:
+                    os._exit(2)
+                os._exit(1)
+            return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+    assert asyncio.run(play()) == 0
+
+
+@pytest.mark.parametrize("command", ["push 120N +y", "link cut", "go 1 0 90deg", "pause"])
+def test_a_command_loads_nothing_that_takes_long(command: str, tmp_path: Path) -> None:
+    script = (
+        "import sys, remote_wbc\n"
+        f"sys.argv = ['wbc', *{command.split()}, '--run', {str(tmp_path)!r}]\n"
+        "try:\n    remote_wbc.main()\n"
+        f"except SystemExit:\n    print([each for each in {HEAVY} if each in sys.modules])\n"
+    )
+    ended = played(*python("-c", script))
+    assert f"no stack in {tmp_path} runs" in ended.stderr
+    assert ended.stdout.strip() == "[]"
