@@ -4,8 +4,8 @@ The keys of a service. The table [defaults] has a value for a key that a service
 
     command         Arguments of `python -m`.
     after           Services that have to be ready first, if they run on this machine too.
-    takes           Flags that it gets: config, telemetry, out, name, secure, held. With held, it
-                    loads at once, and then waits until the services of `after` are ready.
+    takes           Flags that it gets: config, telemetry, out, name, secure, events, held. With
+                    held, it loads at once, and then waits until the services of `after` are ready.
     report          Stem of its files in the run's folder; empty: no files.
     port            Port for other machines, unless --listen gives another; 0: none.
     by_default      Whether it runs without --only.
@@ -34,7 +34,7 @@ EDGE, ROUTER, NETEM, ROBOT, VIEWER = "edge", "router", "netem", "robot", "viewer
 FILE = Path(__file__).with_name("services.toml")
 OUTCOME, FAILURE, IGNORED = "outcome", "failure", "ignored"
 HELD = "held"
-FLAGS = ("config", "telemetry", "out", "name", "secure", HELD)
+FLAGS = ("config", "telemetry", "out", "name", "secure", "events", HELD)
 _RESTART = re.compile(r"no|on-failure:([1-9]\d?)/([1-9]\d{0,4})s")
 _MAX_PAUSE_SECONDS = 30.0
 

@@ -39,7 +39,7 @@ from deploy.neighbours import Neighbours
 from deploy.outcome import record, summarise
 from deploy.plan import Plan, PlannedService
 from deploy.process_stat import process_started
-from deploy.scene import RobotTime, Sender, play
+from deploy.scene import Sender
 from deploy.services import EDGE, HELD, IGNORED, NETEM, OUTCOME, ROBOT, VIEWER
 from deploy.supervisor import Launch, Supervisor
 from shared.bus.base import Delivery
@@ -47,14 +47,14 @@ from shared.bus.operator import CommandClient
 from shared.commands import wbc
 from shared.config.config_file import differing, settings_table
 from shared.config.settings import RunConfig
-from shared.errors import LinkError, UserError
+from shared.errors import LinkError, UserError, writing
 from shared.output.summary import summary_in_words
 from shared.process.cli import EXIT_FELL, EXIT_STANDING
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, python
 from shared.process.realtime import usable_cores
 from shared.wire.operator.commands import Command
-from shared.wire.operator.events import CommandEvent
-from shared.wire.operator.messages import CLOCK_KEY, VIEW_KEY
+from shared.wire.operator.events import SCRIPT_FILE, CommandEvent, write_events
+from shared.wire.operator.messages import VIEW_KEY
 from shared.wire.operator.texts import parse_command
 
 _STATUS_SECONDS = 0.1
@@ -74,7 +74,8 @@ class Run:
 
     `name` is the robot's name on the link, None for the name of its kind. `ready_fd` is set in the
     background: the descriptor on which the run reports that it is ready. A run that `stays` goes on
-    until a signal. The commands of `scene` are given at their times. The task waits for a `seen`
+    until a signal. The services carry out the
+    commands of `scene` at their times. The task waits for a `seen`
     view.
     """
 
@@ -120,7 +121,6 @@ class StackRun:
         # Without a robot here the run never ends by itself, so a signal is its normal end.
         ends = run.plan.has(ROBOT) and not run.stays
         self._stopped_code = EXIT_INTERRUPTED if ends else EXIT_STANDING
-        self._time = RobotTime()
         self._client: CommandClient
         self._sender: Sender
         self._seen = asyncio.Event()
@@ -153,10 +153,12 @@ class StackRun:
             robot = self._run.config.robot.label
             hub = open_hub(telemetry, self._status, robot, out=self._out)
             self._put(STARTING)
-            hub.subscribe(CLOCK_KEY, self._time.take)
             hub.subscribe(VIEW_KEY, partial(self._note_view, loop))
             self._client = CommandClient(hub)
             self._sender = Sender(self._client, partial(self._say, "up"))
+            if self._run.scene:
+                with writing(self._out, what="out"):
+                    write_events(self._out / SCRIPT_FILE, self._run.scene)
             failure: LinkError | None = None
             code = EXIT_ERROR
             try:
@@ -280,15 +282,11 @@ class StackRun:
             self._look(again=True)
         self._put(READY)
         self._tell_ready()
-        giving = [
-            asyncio.create_task(play(self._run.scene, self._time, self._sender)),
-            asyncio.create_task(self._send_typed()),
-        ]
+        sending = asyncio.create_task(self._send_typed())
         try:
             return await self._watch()
         finally:
-            for task in giving:
-                task.cancel()
+            sending.cancel()
 
     def _note_view(self, loop: asyncio.AbstractEventLoop, delivery: Delivery) -> None:
         """Note that somebody sees the view; called on the bus's thread."""
@@ -404,6 +402,7 @@ class StackRun:
             "out": self._out,
             "name": run.name,
             "secure": secure,
+            "events": self._out / SCRIPT_FILE if run.scene else None,
         }
         command = python("-m", *step.arguments)
         if step.name == ROBOT and run.stays:

@@ -11,6 +11,7 @@ begin(__name__)
 
 import threading
 import time
+from collections.abc import Sequence
 
 from edge_node.client_monitor import ClientMonitor
 from edge_node.node import EdgeNode
@@ -37,12 +38,14 @@ from shared.process.service import (
     StopSignal,
     add_service_arguments,
     identity_from,
+    script_of,
     wait_while_held,
 )
 from shared.robots import load_robot
 from shared.telemetry.schema import SOLVE_SCHEMA
 from shared.wire.channels import DOWNLINK, PLANS, SOLVES_KEY, UPLINK
 from shared.wire.operator.commands import Accepted, Command, EdgeCommand
+from shared.wire.operator.events import CommandEvent
 from shared.wire.operator.messages import EDGE_COMMANDS_KEY
 
 _PRIORITY = 10
@@ -71,6 +74,7 @@ def main() -> int:
     node = EdgeNode(robot, config, make_motion(robot, config))
     me = identity_from(arguments, role=EDGE, kind=robot.name, several=True)
     served = me.robots
+    script = script_of(arguments, EdgeCommand)
     wait_while_held(arguments)
     stop = StopSignal()
     scheduling = prepare(priority=_PRIORITY)
@@ -100,7 +104,7 @@ def main() -> int:
     downlinks = {name: bus.publisher(DOWNLINK.key_for(name)) for name in served}
     plan_keys = {name: bus.publisher(PLANS.key_for(name)) for name in served}
     if log.hub is not None:
-        _serve_commands(log.hub, node, served)
+        _serve_commands(log.hub, node, served, script)
     suspend_garbage_collection()
     where = arguments.connect or arguments.listen
     names = ", ".join(f"{name} as {sender_name(downlinks[name].session)}" for name in served)
@@ -165,8 +169,10 @@ def _share(text: str) -> float:
     return share
 
 
-def _serve_commands(hub: ZenohBus, node: EdgeNode, robots: tuple[str, ...]) -> None:
-    """Carry out an operator's commands about where to walk."""
+def _serve_commands(
+    hub: ZenohBus, node: EdgeNode, robots: tuple[str, ...], script: Sequence[CommandEvent]
+) -> None:
+    """Carry out the commands of an operator and of a script about where to walk."""
     times = RobotTimes(hub, lambda text: print(text, flush=True))
 
     def carry_out(command: Command) -> Accepted:
@@ -178,6 +184,7 @@ def _serve_commands(hub: ZenohBus, node: EdgeNode, robots: tuple[str, ...]) -> N
         return times.carried_out(command, tell=node.steer(command))
 
     CommandServer(hub, EDGE_COMMANDS_KEY, carry_out)
+    times.play(script, carry_out)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ both sides, so a run without the shim differs in one endpoint only.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 
 from netem.link_options import add_link_arguments, link_config_from
 from netem.networks import load_network, profile_of
@@ -28,11 +29,13 @@ from shared.process.service import (
     StopSignal,
     add_service_arguments,
     identity_from,
+    script_of,
     wait_while_held,
 )
 from shared.telemetry.schema import LINK_SCHEMA
 from shared.wire.channels import DOWNLINK, LINK_KEY, PLANS, UPLINK
 from shared.wire.operator.commands import Accepted, Command, LinkCommand
+from shared.wire.operator.events import CommandEvent
 from shared.wire.operator.messages import LINK_COMMANDS_KEY
 
 _PRIORITY = 20
@@ -59,8 +62,8 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     add_link_arguments(parser)
 
 
-def _serve_commands(hub: ZenohBus, shim: Shim) -> None:
-    """Carry out an operator's commands, in the time of the robot that the hub has."""
+def _serve_commands(hub: ZenohBus, shim: Shim, script: Sequence[CommandEvent]) -> None:
+    """Carry out an operator's commands and a script, in the time of the robot on the hub."""
     times = RobotTimes(
         hub,
         lambda text: print(text, flush=True),
@@ -73,6 +76,7 @@ def _serve_commands(hub: ZenohBus, shim: Shim) -> None:
         return times.carried_out(command, shim.change(command, profile_of(command)))
 
     CommandServer(hub, LINK_COMMANDS_KEY, carry_out)
+    times.play(script, carry_out)
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
@@ -82,6 +86,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
     )
     profile = load_network(config.link.network)
     me = identity_from(arguments, role=NETEM, kind=config.robot.label)
+    script = script_of(arguments, LinkCommand)
     wait_while_held(arguments)
     stop = StopSignal()
     scheduling = prepare(priority=_PRIORITY)
@@ -124,7 +129,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
     far.subscribe(DOWNLINK.key_for(robot), shim.receive(DOWN))
     far.subscribe(PLANS.key_for(robot), shim.receive(DOWN, plans=True))
     if log.hub is not None:
-        _serve_commands(log.hub, shim)
+        _serve_commands(log.hub, shim, script)
     suspend_garbage_collection()
     print(
         f"READY {arguments.listen} → {arguments.connect} ({scheduling}; {profile.name}, nominal "

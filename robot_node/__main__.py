@@ -34,10 +34,12 @@ from shared.process.service import (
     StopSignal,
     add_service_arguments,
     identity_from,
+    script_of,
     wait_while_held,
 )
 from shared.robots import load_robot
 from shared.wire.channels import DOWNLINK, PLANS, TICKS_KEY, UPLINK
+from shared.wire.operator.commands import RobotCommand
 
 _PRIORITY = 30
 # Task times stay inside 64 bits of nanoseconds.
@@ -65,6 +67,7 @@ def main() -> int:
     motion = make_motion(robot, config)
     me = identity_from(arguments, role=None, kind=robot.name)
     node = RobotNode(robot, config, motion, start_computer=partial(WorkerComputer, config))
+    script = script_of(arguments, RobotCommand)
     wait_while_held(arguments)
     stop = StopSignal()
     scheduling = prepare(priority=_PRIORITY)
@@ -100,6 +103,7 @@ def main() -> int:
     commands: RobotCommands | None = None
     if log.hub is not None:
         commands = RobotCommands(log.hub, node, loop, _say)
+        commands.play(script)
     suspend_garbage_collection()
     print(f"READY {me.robot} → {arguments.connect} ({scheduling})", flush=True)
 

@@ -1,18 +1,22 @@
 """Carries an operator's commands out on a live robot, between two ticks, and publishes them.
 
-Everything slow happens on the thread of the command server. The tick looks at one attribute.
+Everything slow happens on the thread of the command server, or on that of a script. The tick looks
+at one attribute.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from robot_node.live import LiveLoop
 from robot_node.node import RobotNode
 from shared.bus.operator import CommandServer
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.extensions import CONTROLLERS
-from shared.errors import ConfigError, LinkError
+from shared.errors import ConfigError, LinkError, UserError
 from shared.wire.operator.commands import (
     Accepted,
     Command,
@@ -20,12 +24,22 @@ from shared.wire.operator.commands import (
     LinkCommand,
     Pause,
     Reset,
+    RobotCommand,
     Speed,
     SwitchController,
 )
 from shared.wire.operator.events import CommandEvent
 from shared.wire.operator.messages import CLOCK_KEY, EVENTS_KEY, ROBOT_COMMANDS_KEY, encode_event
 from shared.wire.robot_clock import ClockReading, encode_clock
+
+# A script's command is prepared this time before it is due [ns].
+_LEAD_NS = 300_000_000
+_LOOK_SECONDS = 0.02
+_ATTEMPTS = 3
+
+
+class _OutdatedError(Exception):
+    """Another command has been carried out since a command was prepared."""
 
 
 class RobotCommands:
@@ -39,7 +53,26 @@ class RobotCommands:
         self._say = say
         self._events = hub.publisher(EVENTS_KEY)
         self._clock = hub.publisher(CLOCK_KEY)
+        self._preparing = threading.Lock()
+        self._carried_out = 0
         CommandServer(hub, ROBOT_COMMANDS_KEY, self._carry_out)
+
+    def play(self, script: Sequence[CommandEvent]) -> None:
+        """Carry out the commands of a script at their times of the task, on another thread."""
+        threading.Thread(target=self._play, args=(script,), name="script", daemon=True).start()
+
+    def _play(self, script: Sequence[CommandEvent]) -> None:
+        for event in script:
+            while not self._comes(event.time_ns):
+                time.sleep(_LOOK_SECONDS)
+            try:
+                self._carry_out(event.command, at_ns=event.time_ns)
+            except UserError as error:
+                self._say(str(error))
+
+    def _comes(self, time_ns: int) -> bool:
+        progress = self._loop.progress
+        return progress.running and progress.time_ns >= time_ns - _LEAD_NS
 
     def tell_clock(self) -> None:
         """Publish the robot's clock, once the task runs."""
@@ -48,20 +81,40 @@ class RobotCommands:
             reading = ClockReading(*origin, now_ns=progress.due_ns, task_ns=progress.time_ns)
             self._clock.publish(encode_clock(reading))
 
-    def _carry_out(self, command: Command) -> Accepted:
+    def _carry_out(self, command: Command, *, at_ns: int = 0) -> Accepted:
         if isinstance(command, LinkCommand | EdgeCommand):
             raise ConfigError(f"{command}: expected a command for the robot, not link or edge")
         if not self._loop.progress.running:
             raise LinkError(f"{command}: the task has not begun yet; try again")
         if self._node.fallen and not isinstance(command, Reset):
             raise LinkError(f"{command}: the robot has fallen; `reset` puts it on its feet")
-        action = self._loop.pace.prepare(command) or self._node.prepare(command)
-        time_ns = self._loop.between_ticks(action)
+        time_ns = self._between_ticks(command, at_ns)
         self.tell_clock()
         wall_ns = self._loop.pace.clock.now_ns()
         self._events.publish(encode_event(CommandEvent(time_ns, command), wall_ns=wall_ns))
         self._say(f"{time_ns * 1e-9:.3f} s: operator: {command}")
         return Accepted(time_ns, _note(command))
+
+    def _between_ticks(self, command: RobotCommand, at_ns: int) -> int:
+        """Prepare a command and carry it out. Return the task time of its first tick [ns].
+
+        If another command comes between, prepare it again: it may be for another controller now.
+        """
+        for _ in range(_ATTEMPTS):
+            with self._preparing:
+                action = self._loop.pace.prepare(command) or self._node.prepare(command)
+                act = partial(self._act, action, self._carried_out)
+            try:
+                return self._loop.between_ticks(act, at_ns=at_ns)
+            except _OutdatedError:
+                continue
+        raise LinkError(f"{command}: other commands came between {_ATTEMPTS} times; try again")
+
+    def _act(self, action: Callable[[], None], carried_out: int) -> None:
+        if carried_out != self._carried_out:
+            raise _OutdatedError
+        action()
+        self._carried_out += 1
 
 
 def _note(command: Command) -> str:

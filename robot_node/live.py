@@ -6,6 +6,7 @@ Nothing in the loop prints, writes or waits for another thread: rows go to a bac
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
@@ -50,10 +51,11 @@ class Progress:
 
 
 class _Between:
-    """An action between two ticks, and the task time at which it was done."""
+    """An action between two ticks, not before `at_ns`, and the task time at which it was done."""
 
-    def __init__(self, action: Callable[[], None]) -> None:
+    def __init__(self, action: Callable[[], None], at_ns: int) -> None:
         self.action = action
+        self.at_ns = at_ns
         self.time_ns = 0
         self.error: Exception | None = None
         self.done = threading.Event()
@@ -90,7 +92,7 @@ class LiveLoop:
         self._tick = Tick(node, log.row)
         self._explain = explain
         self._stays = stays
-        self._between: _Between | None = None
+        self._between: list[_Between] = []
         self._clock = self.pace.clock
         self._arrived_ns = 0
         self._round_trip_ns = 0
@@ -121,14 +123,18 @@ class LiveLoop:
         self._arrived_ns = self._clock.now_ns()
         self._inbox.put(delivery)
 
-    def between_ticks(self, action: Callable[[], None]) -> int:
+    def between_ticks(self, action: Callable[[], None], *, at_ns: int = 0) -> int:
         """Do an action between two ticks. Return the task time of the tick that follows [ns].
 
-        Call this from one other thread. Raise `LinkError` if no tick comes.
+        Call this from another thread. With `at_ns` the tick of that task time follows, or the next
+        one if the time has passed. Raise `LinkError` if no tick comes.
         """
-        waiting = self._between = _Between(action)
-        if not waiting.done.wait(_BETWEEN_SECONDS):
-            self._between = None
+        waiting = _Between(action, at_ns)
+        self._between.append(waiting)
+        # Simulated time may stand still for long before a time of the task.
+        if not waiting.done.wait(_BETWEEN_SECONDS if at_ns <= self.progress.time_ns else None):
+            with contextlib.suppress(ValueError):
+                self._between.remove(waiting)
             raise LinkError(f"expected a tick within {_BETWEEN_SECONDS:g} s, got none; try again")
         if waiting.error is not None:
             raise waiting.error
@@ -156,8 +162,8 @@ class LiveLoop:
                 self.pace.stand_still()
             budget.keep(time.monotonic_ns())
             clock.sleep_until(ticker.due_ns)
-            if self._between is not None:
-                self._carry_out(self._between)
+            if self._between:
+                self._carry_out_due()
             if self.pace.left is not None:
                 self._stand_still(stopping)
             now_ns = clock.now_ns()
@@ -202,6 +208,11 @@ class LiveLoop:
             )
         self.wall_seconds = (clock.now_ns() - task_began_ns) * 1e-9
 
+    def _carry_out_due(self) -> None:
+        for waiting in tuple(self._between):
+            if waiting.at_ns <= self._node.time_ns:
+                self._carry_out(waiting)
+
     def _carry_out(self, waiting: _Between) -> None:
         """Do the action of `between_ticks`. A reset after a fall lets simulated time go on."""
         had_fallen = self._node.fallen
@@ -212,7 +223,8 @@ class LiveLoop:
         if had_fallen and not self._node.fallen:
             self.pace.resume()
         waiting.time_ns = self._node.time_ns
-        self._between = None
+        with contextlib.suppress(ValueError):
+            self._between.remove(waiting)
         waiting.done.set()
 
     def _stand_still(self, stopping: Callable[[], bool]) -> None:
@@ -222,8 +234,8 @@ class LiveLoop:
             pace.stand_still()
             while pace.left == 0 and not stopping():
                 time.sleep(_STANDING_SECONDS)
-                if self._between is not None:
-                    self._carry_out(self._between)
+                if self._between:
+                    self._carry_out_due()
         if pace.left:
             pace.left -= 1
 

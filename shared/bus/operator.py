@@ -2,17 +2,20 @@
 
 The robot and the shim each serve the commands that they carry out. A command has one answer. A
 server takes at most about fifty commands a second, off the robot's tick; of a flood it takes some
-and drops the others.
+and drops the others. A script, whose times are known before the start, needs no message: each
+process carries out its own commands of it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from shared.bus.base import Delivery
+from shared.bus.memory import MemoryBus
 from shared.bus.zenoh_bus import ZenohBus
 from shared.clock import ScaledClock
 from shared.errors import LinkError, MessageRefused, UserError
@@ -34,6 +37,10 @@ from shared.wire.robot_clock import ClockReading, decode_clock
 
 _PAUSE_SECONDS = 0.02
 _ANSWER_SECONDS = 5.0
+# Between two looks at the robot's clock, which an operator may stop.
+_LOOK_SECONDS = 0.05
+# The first reading of the clock comes up to this time after the beginning of the task.
+_MISSED_NS = 1_000_000_000
 
 
 class CommandClient:
@@ -72,7 +79,7 @@ class RobotTimes:
 
     def __init__(
         self,
-        hub: ZenohBus,
+        hub: ZenohBus | MemoryBus,
         say: Callable[[str], None],
         on_clock: Callable[[ClockReading], None] = lambda reading: None,
     ) -> None:
@@ -99,6 +106,40 @@ class RobotTimes:
         if tell:
             self._say(f"{event.time_ns * 1e-9:.3f} s: operator: {command}")
         return Accepted(event.time_ns)
+
+    def play(
+        self, script: Sequence[CommandEvent], carry_out: Callable[[Command], Accepted]
+    ) -> None:
+        """Carry out the commands of a script at their times of the task, on another thread.
+
+        A process that starts again leaves out the commands that it has carried out before.
+        """
+        arguments = (script, carry_out)
+        threading.Thread(target=self._play, args=arguments, name="script", daemon=True).start()
+
+    def _play(
+        self, script: Sequence[CommandEvent], carry_out: Callable[[Command], Accepted]
+    ) -> None:
+        while (reading := self._reading) is None:
+            time.sleep(_LOOK_SECONDS)
+        for event in script:
+            if event.time_ns < reading.task_ns - _MISSED_NS:
+                continue
+            while (wait_ns := self._wait_ns(event.time_ns)) > 0:
+                time.sleep(min(wait_ns * 1e-9, _LOOK_SECONDS))
+            try:
+                carry_out(event.command)
+            except UserError as error:
+                self._say(str(error))
+
+    def _wait_ns(self, time_ns: int) -> float:
+        """Return the time until a time of the task [ns of real time]; infinite while it stands."""
+        reading, speed = self._reading, self._clock.speed
+        assert reading is not None
+        left_ns = time_ns - reading.task_ns - (self._clock.now_ns() - reading.now_ns)
+        if left_ns <= 0:
+            return 0.0
+        return left_ns / speed if speed > 0.0 else math.inf
 
     def _take(self, delivery: Delivery) -> None:
         with contextlib.suppress(MessageRefused):

@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
+from types import FrameType, UnionType
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from shared.telemetry.lives import begin_life
 from shared.telemetry.parquet import write_parquet
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import Schema
+from shared.wire.operator.events import CommandEvent, read_events
 
 EDGE_ENDPOINT = "tcp/127.0.0.1:7460"
 NETEM_ENDPOINT = "tcp/127.0.0.1:7461"
@@ -52,8 +53,27 @@ def add_service_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--telemetry", metavar="ENDPOINT", help="hub for measurements, which never cross the link"
     )
+    parser.add_argument(
+        "--events",
+        metavar="FILE",
+        type=Path,
+        help="commands at times of the task, of which this process carries out its own; needs "
+        "--telemetry",
+    )
     add_held_argument(parser)
     add_identity_arguments(parser)
+
+
+def script_of(arguments: argparse.Namespace, kinds: UnionType) -> tuple[CommandEvent, ...]:
+    """Return the events of `--events` with commands of these kinds, in the order of their times.
+
+    Raise `ConfigError` if the file cannot be used, or if there is no hub with the robot's clock.
+    """
+    if arguments.events is None:
+        return ()
+    if arguments.telemetry is None:
+        raise ConfigError("events: expected --telemetry too, for the robot's clock, got none")
+    return tuple(each for each in read_events(arguments.events) if isinstance(each.command, kinds))
 
 
 def add_held_argument(parser: argparse.ArgumentParser) -> None:

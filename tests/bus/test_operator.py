@@ -11,11 +11,20 @@ from pathlib import Path
 import pytest
 
 from shared.bus import operator
-from shared.bus.operator import CommandClient, CommandServer
+from shared.bus.memory import MemoryBus
+from shared.bus.operator import CommandClient, CommandServer, RobotTimes
 from shared.bus.zenoh_bus import ZenohBus
+from shared.clock import SimClock
 from shared.errors import ConfigError, LinkError
 from shared.wire.operator.commands import Accepted, Command, Cut, Pause
-from shared.wire.operator.messages import LINK_COMMANDS_KEY, ROBOT_COMMANDS_KEY, encode_command
+from shared.wire.operator.events import parse_event
+from shared.wire.operator.messages import (
+    CLOCK_KEY,
+    LINK_COMMANDS_KEY,
+    ROBOT_COMMANDS_KEY,
+    encode_command,
+)
+from shared.wire.robot_clock import ClockReading, encode_clock
 from tests.processes import PATIENCE_SECONDS, until
 
 pytestmark = pytest.mark.live
@@ -100,6 +109,30 @@ def test_of_a_flood_the_server_sees_few(dial: Dial, monkeypatch: pytest.MonkeyPa
     over.set()
     until(lambda: Pause() in seen, "the last command is not carried out")
     assert len(seen) <= 6
+
+
+def test_a_script_follows_the_robots_clock_and_is_not_played_twice() -> None:
+    hub = MemoryBus(SimClock())
+    done: list[tuple[str, int]] = []
+
+    def carry_out(command: Command) -> Accepted:
+        accepted = times.carried_out(command, tell=False)
+        done.append((str(command), accepted.time_ns))
+        return accepted
+
+    def tell(task_ns: int) -> None:
+        """The robot's clock stands at a time of the task."""
+        clock.publish(encode_clock(ClockReading(0, 5_000, 0.0, 5_000, task_ns)))
+
+    times, clock = RobotTimes(hub, print), hub.publisher(CLOCK_KEY)
+    texts = ("1s link cut", "3s link restore", "3.5s link cut", "9s link restore")
+    times.play([parse_event(text) for text in texts], carry_out)
+    # This process was started again at 3.4 s of the task.
+    tell(3_400_000_000)
+    until(lambda: len(done) == 1, "the last second's command does not come")
+    tell(3_500_000_000)
+    until(lambda: len(done) == 2, "a command does not come at its time")
+    assert done == [("link restore", 3_400_000_000), ("link cut", 3_500_000_000)]
 
 
 def test_another_user_cannot_reach_the_hub(tmp_path: Path) -> None:

@@ -13,13 +13,14 @@ import pytest
 from deploy.background.state import StackFolder
 from shared.process.entry import python
 from shared.wire.operator.commands import Cut, Restore
-from shared.wire.operator.events import CommandEvent, read_events
+from shared.wire.operator.events import CommandEvent, parse_event, read_events
 from tests.processes import Process, descendants_naming, played, until
 
 pytestmark = pytest.mark.live
 
 Start = Callable[..., Process]
 MS = 1_000_000
+SCRIPT = ("0.700s push 20N +x --for 10ms", "0.750s link delay 1ms")
 QUIET = ("--controller", "lc", "--network", "constant:10ms", "--push", "none", "--view", "off")
 
 
@@ -30,9 +31,22 @@ def told(run: Path, *command: str) -> subprocess.CompletedProcess[str]:
 def test_a_running_stack_takes_commands_and_records_them_until_it_is_ended_at_once(
     start: Start, tmp_path: Path
 ) -> None:
-    run = tmp_path / "run"
-    up = start("deploy", "up", "--stay", *QUIET, "--duration", "0.1", "--out", str(run))
+    run, script = tmp_path / "run", tmp_path / "script.txt"
+    script.write_text("".join(f"{each}\n" for each in SCRIPT))
+    up = start(
+        "deploy",
+        "up",
+        "--stay",
+        *QUIET,
+        "--duration",
+        "0.1",
+        "--out",
+        str(run),
+        "--events",
+        str(script),
+    )
     up.wait_for("the task begins")
+    up.wait_for("operator: link delay 1ms")
     commands = (
         ("push", "50N", "-y", "--for", "100ms"),
         ("link", "cut"),
@@ -52,8 +66,13 @@ def test_a_running_stack_takes_commands_and_records_them_until_it_is_ended_at_on
     assert "no such profile" in refused.stderr
 
     up.wait_for("operator: reset")
-    until(lambda: len(read_events(run / "events.txt")) == len(commands), "not all are recorded")
-    events = read_events(run / "events.txt")
+    recorded = len(SCRIPT) + len(commands)
+    until(lambda: len(read_events(run / "events.txt")) == recorded, "not all are recorded")
+    # Robot and shim know the times of a script before the start.
+    pushed, delayed, *events = read_events(run / "events.txt")
+    assert str(pushed) == SCRIPT[0]
+    assert str(delayed.command) == "link delay 1ms"
+    assert delayed.time_ns >= parse_event(SCRIPT[1]).time_ns
     texts = [str(event.command) for event in events]
     assert texts == [" ".join(each) for each in commands]
     times = {text: event.time_ns for text, event in zip(texts, events, strict=True)}
