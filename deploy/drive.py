@@ -23,7 +23,7 @@ from shared.wire.operator.commands import Drive
 
 GAMEPAD = Path("/dev/input/js0")
 # What a held key drives, [m/s, m/s, rad/s]: within what a step can do.
-_KEYS = {
+KEYS = {
     "w": Drive(0.15, 0.0, 0.0),
     "s": Drive(-0.1, 0.0, 0.0),
     "a": Drive(0.0, 0.06, 0.0),
@@ -83,7 +83,7 @@ class Hand:
     def take(self, typed: str, now: float) -> None:
         """Take in keys typed by `now` [s]; any other key stops."""
         if typed:
-            self._wanted, self._typed_at = _KEYS.get(typed[-1].lower(), _STOP), now
+            self._wanted, self._typed_at = KEYS.get(typed[-1].lower(), _STOP), now
 
     def wanted(self, now: float) -> Drive:
         """Return the velocity that is wanted `now` [s]."""

@@ -20,6 +20,7 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect as connect_sync
 
+from deploy.drive import KEYS
 from shared.bus.operator import CommandServer
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.config_file import dump_config
@@ -41,13 +42,20 @@ from viewer.page.hulls import load_hulls, make_hulls
 from viewer.page.server import FILES, MAX_BROWSERS, PageServer
 from viewer.rerun_process import free_port
 
-ROBOT = json.dumps({"joints": [1], "shapes": [], "words": ["Romeo", "balance"], "focus": 0.5})
+ROBOT = json.dumps(
+    {"joints": [1], "shapes": [], "words": ["Romeo", "balance"], "focus": 0.5, "drives": True}
+)
 
 
-def served(check: Callable[[PageServer], Awaitable[None]]) -> None:
-    """Run a check against a server whose commands are answered by their text in capitals."""
+def served(check: Callable[[PageServer], Awaitable[None]], lines: list[str] | None = None) -> None:
+    """Run a check against a server whose commands are answered by their text in capitals.
+
+    They are added to `lines`.
+    """
 
     def command(line: str) -> str:
+        if lines is not None:
+            lines.append(line)
         if line == "nonsense":
             raise ConfigError("command: expected one of push, link, got 'nonsense'")
         return line.upper()
@@ -253,6 +261,15 @@ def test_a_state_before_the_first_row_has_all_that_the_page_reads(robot: Robot) 
     assert state["strip"]["outages"] == state["strip"]["delays_ms"] == {}
 
 
+def test_a_velocity_that_is_given_again_is_one_event(robot: Robot) -> None:
+    feed = Feed(robot, RunConfig(), [1])
+    texts = ("drive 0.1 0 0", "drive 0.1 0 0", "drive 0.1 0 0", "drive 0 0 0", "drive 0.1 0 0")
+    events = [CommandEvent(k * 10**9, parse_command(text)) for k, text in enumerate(texts)]
+    feed.take_events([encode_event(event, wall_ns=WALL_START_NS) for event in events])
+    shown = json.loads(feed.state)["events"]
+    assert shown == ["0.00 s: drive 0.1 0 0", "3.00 s: drive 0 0 0", "4.00 s: drive 0.1 0 0"]
+
+
 def test_events_are_kept_for_late_browsers_and_bounded(robot: Robot) -> None:
     feed = Feed(robot, RunConfig(), [1])
     cut = parse_command("link cut")
@@ -287,22 +304,94 @@ def test_hulls_are_made_once(robot: Robot, tmp_path: Path) -> None:
     assert load_hulls(robot, cache=tmp_path) == {"joints": [1], "shapes": []}
 
 
-def test_the_script_runs_in_a_browser(tmp_path: Path) -> None:
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        pytest.skip("there is no chromium here")
-    shown: list[str] = []
-    flags = ("--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}")
+class Browser:
+    """A page in a headless Chromium, over its debugging protocol."""
+
+    def __init__(self, folder: Path) -> None:
+        chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+        if chromium is None:
+            pytest.skip("there is no chromium here")
+        self._port = folder / "DevToolsActivePort"
+        self._number = 0
+        flags = ("--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0")
+        self._process = subprocess.Popen(
+            [chromium, *flags, f"--user-data-dir={folder}", "about:blank"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def open(self, address: str) -> None:
+        until(self._port.exists, "Chromium does not start")
+        lines = until(lambda: self._port.read_text().splitlines()[1:], "Chromium has no port")
+        port = self._port.read_text().splitlines()[0]
+        self._session = None
+        self._socket = connect_sync(f"ws://127.0.0.1:{port}{lines[0]}", max_size=None)
+        target = self.ask("Target.createTarget", url=address)["targetId"]
+        attached = self.ask("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
+
+    def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
+        self._number += 1
+        session = {} if self._session is None else {"sessionId": self._session}
+        request = {"id": self._number, "method": method, "params": parameters, **session}
+        self._socket.send(json.dumps(request))
+        answer: dict[str, Any] = {}
+        while answer.get("id") != self._number:
+            answer = json.loads(self._socket.recv(timeout=PATIENCE_SECONDS))
+        result: dict[str, Any] = answer["result"]
+        return result
+
+    def value(self, expression: str) -> Any:
+        return self.ask("Runtime.evaluate", expression=expression)["result"].get("value")
+
+    def key(self, kind: str, key: str) -> None:
+        self.ask("Input.dispatchKeyEvent", type=kind, key=key)
+
+    def end(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+
+def test_in_a_browser_the_robot_is_driven_while_a_key_is_held(tmp_path: Path) -> None:
+    lines: list[str] = []
+    browser = Browser(tmp_path)
+
+    def drive(address: str) -> None:
+        browser.open(address)
+        until(lambda: browser.value("document.title") == "Romeo · balance", "it does not load")
+        until(lambda: browser.value("document.body.innerText").count("↑ w"), "no drive buttons")
+        browser.key("keyDown", "w")
+        # While it is held, the velocity is given again.
+        until(lambda: len(lines) > 2, "a held key drives nothing")
+        browser.key("keyDown", "q")
+        until(lambda: "drive 0.15 0 0.25" in lines, "two keys are not added")
+        browser.key("keyUp", "w")
+        browser.key("keyUp", "q")
+        until(lambda: lines[-1] == "drive 0 0 0", "the robot is not stopped")
+        before = len(lines)
+        browser.key("keyDown", "d")
+        until(lambda: lines[-1] == "drive 0 -0.06 0", "it does not drive again")
+        # A page that is left sends no key up.
+        browser.value("dispatchEvent(new Event('blur'))")
+        until(lambda: lines[-1] == "drive 0 0 0", "the robot is not stopped when the page is left")
+        assert lines[before - 1] == "drive 0 0 0"
+        browser.key("keyDown", "c")
+        until(lambda: lines[-1] == "link cut", "the other keys are not commands")
 
     async def check(server: PageServer) -> None:
-        command = [chromium, *flags, "--virtual-time-budget=3000", "--dump-dom", server.address]
-        done = await asyncio.to_thread(
-            subprocess.run, command, capture_output=True, text=True, timeout=PATIENCE_SECONDS
-        )
-        shown.append(done.stdout)
+        await asyncio.to_thread(drive, server.address)
 
-    served(check)
-    assert '<h1 id="title">Romeo · balance</h1>' in shown[0]
+    try:
+        served(check, lines)
+    finally:
+        browser.end()
+    assert set(lines[:3]) == {"drive 0.15 0 0"}
+
+
+def test_the_page_drives_as_fast_as_the_terminal() -> None:
+    page = files("viewer.page").joinpath("index.html").read_text(encoding="utf-8")
+    buttons = re.findall(r'data-drive="([^"]+)" data-held="(.)"', page)
+    assert {key: parse_command(f"drive {text}") for text, key in buttons} == KEYS
 
 
 @pytest.mark.live
@@ -340,7 +429,7 @@ def test_a_run_is_seen_and_pushed_from_the_page(robot: Robot, tmp_path: Path) ->
                 browser.send("taken")
             assert state["verdict"] == "stands"
             browser.send("push 100N +y")
-            while not state["events"]:
+            while not state.get("events"):
                 state = json.loads(browser.recv(timeout=PATIENCE_SECONDS))
                 browser.send("taken")
             assert state["events"] == ["0.01 s: push 100N +y --for 200ms"]

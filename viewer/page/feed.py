@@ -19,6 +19,7 @@ from shared.robots import Robot
 from shared.telemetry.row_log import decode_rows
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, Source, tick_schema
 from shared.wbc.contacts import ContactMode
+from shared.wire.operator.commands import Command, Drive
 from shared.wire.operator.messages import decode_event
 from viewer.page.strip import Strip
 from viewer.pose import PoseModel
@@ -43,6 +44,7 @@ class Feed:
         self._strip = Strip()
         self._push, self._pushed_ns = np.zeros(3), 0
         self._events: deque[str] = deque(maxlen=_MAX_EVENTS)
+        self._last: Command | None = None
         self._state: dict[str, Any] = {"verdict": self._verdict.text}
 
     def take_events(self, messages: Sequence[bytes]) -> bool:
@@ -54,7 +56,10 @@ class Feed:
                 self.refused += 1
             else:
                 text = f"{event.time_ns * 1e-9:.2f} s: {event.command}"
-                if text not in self._events:
+                # A velocity is given again and again while a key is held.
+                goes_on = isinstance(event.command, Drive) and event.command == self._last
+                self._last = event.command
+                if text not in self._events and not goes_on:
                     self._events.append(text)
         return bool(messages)
 

@@ -7,12 +7,13 @@ const PERIOD = 1000 / 31;     // at most 30 pictures a second
 const SPAN = 20;              // of the strip [s]
 const ANSWERS = 2;
 const TRY_AGAIN = 1000;
+const DRIVE_AGAIN = 300;      // a velocity that is not given again ends after a second [ms]
 
 const at = (id) => document.getElementById(id);
 const robot = await (await fetch("robot.json")).json();
 const scene = new RobotCanvas(at("robot"), robot);
 let socket, state = null, poses = [], shown = null, before = 0, drawn = 0, counted = performance.now();
-let stripIsNew = false;
+let stripIsNew = false, unanswered = 0;
 
 at("title").textContent = robot.words.join(" · ");
 document.title = robot.words.join(" · ");
@@ -23,11 +24,18 @@ function connect() {
   socket = new WebSocket(address);
   socket.onmessage = (message) => {
     const news = JSON.parse(message.data);
-    if ("answer" in news) { say(news.answer, news.refused); return; }
+    if ("answer" in news) {
+      unanswered -= 1;
+      if (news.answer) say(news.answer, news.refused);
+      if (news.refused) letGo();
+      return;
+    }
     socket.send("taken");  // the next one may come
     take(news);
   };
   socket.onclose = () => {
+    unanswered = 0;
+    letGo();
     verdict("the viewer has ended", "bad");
     setTimeout(connect, TRY_AGAIN);
   };
@@ -187,8 +195,61 @@ function say(text, refused) {
 
 function send(line) {
   at("answers").replaceChildren();
-  if (socket.readyState === WebSocket.OPEN) socket.send(line);
-  else say(`${line}: not sent, there is no connection`, true);
+  if (socket.readyState === WebSocket.OPEN) {
+    unanswered += 1;
+    socket.send(line);
+  } else say(`${line}: not sent, there is no connection`, true);
+}
+
+// The dead man's switch: the robot walks while a button or its key is held, and at no other time.
+const held = new Set();
+let again = 0;
+
+// Give the velocity. On a busy machine old velocities must not wait before the stop.
+function drive() {
+  const sum = [0, 0, 0];
+  for (const button of held) button.dataset.drive.split(" ").forEach((part, k) => { sum[k] += Number(part); });
+  if (socket.readyState !== WebSocket.OPEN) return;
+  unanswered += 1;
+  socket.send(`drive ${sum.join(" ")}`);
+}
+
+function hold(button) {
+  if (button.matches(":disabled") || held.has(button)) return;
+  at("answers").replaceChildren();
+  held.add(button);
+  changeDrive();
+}
+
+// Without a button: all of them.
+function letGo(button = null) {
+  if (button === null ? held.size === 0 : !held.has(button)) return;
+  if (button === null) held.clear();
+  else held.delete(button);
+  changeDrive();
+}
+
+function changeDrive() {
+  for (const button of document.querySelectorAll("[data-drive]")) button.classList.toggle("pressed", held.has(button));
+  clearInterval(again);
+  drive();
+  if (held.size) again = setInterval(() => { if (unanswered === 0) drive(); }, DRIVE_AGAIN);
+}
+
+const heldBy = (event) => event.key === " " || event.key === "Enter" ? event.target.closest("[data-drive]")
+  : document.querySelector(`[data-held="${CSS.escape(event.key.toLowerCase())}"]`);
+
+for (const button of document.querySelectorAll("[data-drive]")) {
+  button.addEventListener("pointerdown", () => hold(button));
+  for (const end of ["pointerup", "pointerleave", "pointercancel", "blur"]) button.addEventListener(end, () => letGo(button));
+  button.addEventListener("contextmenu", (event) => event.preventDefault());
+}
+document.addEventListener("keyup", (event) => { const button = heldBy(event); if (button) letGo(button); });
+addEventListener("blur", () => letGo());
+document.addEventListener("visibilitychange", () => letGo());
+if (!robot.drives) {
+  at("drive").disabled = true;
+  at("drivehint").textContent = "needs a stack with --stepping on";
 }
 
 document.addEventListener("click", ({target}) => {
@@ -203,6 +264,8 @@ at("delay").addEventListener("change", ({target}) => send(target.dataset.prefix 
 
 document.addEventListener("keydown", (event) => {
   if (event.repeat || event.ctrlKey || event.altKey || event.metaKey || event.target.closest("select")) return;
+  const driven = heldBy(event);
+  if (driven) { event.preventDefault(); hold(driven); return; }
   const button = document.querySelector(`button[data-key="${CSS.escape(event.key.toLowerCase())}"]`);
   if (!button) return;
   event.preventDefault();

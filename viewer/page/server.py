@@ -162,8 +162,7 @@ class PageServer:
                         slot.taken.set()
                         continue
                     answer, refused = await self._carry_out(line)
-                    if answer:
-                        await connection.send(json.dumps({"answer": answer, "refused": refused}))
+                    await connection.send(json.dumps({"answer": answer, "refused": refused}))
             except ConnectionClosed:
                 pass
             finally:

@@ -47,7 +47,12 @@ def watch_page(
     if bus is None:
         return
     feed = Feed(robot, config, hulls["joints"])
-    words = {"words": parts(config), "focus": focus_height(robot), "walks": config.task == "walk"}
+    words = {
+        "words": parts(config),
+        "focus": focus_height(robot),
+        "walks": config.task == "walk",
+        "drives": config.stepping.mode != "off",
+    }
     server = PageServer(
         json.dumps({**hulls, **words}), feed.state, partial(_carry_out, bus, events)
     )
