@@ -16,7 +16,6 @@ from deploy.background.registry import running_stacks
 from deploy.background.state import StackFolder
 from deploy.services import EDGE, NETEM, ROBOT
 from shared.commands import wbc
-from shared.config.extensions import CONTROLLERS
 from shared.errors import ConfigError, LinkError
 from shared.process.cli import EXIT_STANDING
 from shared.wire.operator.commands import Command, EdgeCommand, LinkCommand
@@ -60,6 +59,9 @@ def send_link(change: str, value: str | None, arguments: argparse.Namespace) -> 
 
 
 def add_controller_arguments(parser: argparse.ArgumentParser) -> None:
+    # Imported here: no other command needs the tables of names.
+    from shared.config.extensions import CONTROLLERS
+
     names = ", ".join(CONTROLLERS.own)
     parser.add_argument("controller", metavar="NAME", help=f"one of {names}, or your own")
     add_stack_arguments(parser)

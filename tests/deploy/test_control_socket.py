@@ -22,7 +22,10 @@ from shared.wire.operator.commands import Accepted, Cut, Restore
 from tests.processes import played
 
 # Modules that take long to load, and that no command to a running stack needs.
-HEAVY = ("numpy", "zenoh", "pinocchio", "msgpack", "asyncio", "ssl", "shared.config.settings")
+HEAVY = (
+    *("numpy", "zenoh", "pinocchio", "msgpack", "asyncio", "ssl"),
+    *("shared.config.settings", "shared.config.extensions"),
+)
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Callable, Sequence
 
-from shared.config.extensions import CONTROLLERS
 from shared.config.quantities import parse_angle, parse_duration_ns
 from shared.errors import ConfigError, one_of
 from shared.wire.operator.commands import (
@@ -74,6 +73,9 @@ def _push(words: Sequence[str]) -> Command:
 
 
 def _controller(words: Sequence[str]) -> Command:
+    # Imported here: the tables of names take longer to load than all commands.
+    from shared.config.extensions import CONTROLLERS
+
     if len(words) != 1:
         raise _unexpected("controller", f"one of {', '.join(CONTROLLERS.own)}", words)
     name = words[0].lower() if words[0].lower() in CONTROLLERS.own else words[0]
