@@ -16,8 +16,10 @@ from shared.errors import ConfigError, ProfileError
 LOST_NS = int(np.iinfo(np.int64).min)
 TIMES = ("sent", "received", "time")
 _LOST = frozenset(
-    ("", "lost", "loss", "none", "null", "nan", "na", "n/a", "-", "--", "*", "timeout", "timed out")
-    + ("inf", "+inf", "infinity", "∞")
+    (
+        *("", "lost", "loss", "none", "null", "nan", "na", "n/a", "-", "--", "*"),
+        *("timeout", "timed out", "inf", "+inf", "infinity", "∞"),
+    )
 )
 
 
