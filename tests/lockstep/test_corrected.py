@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from netem.profile import LOST
+from tests.lockstep.conftest import SHORT_STANDS
 
 ROUND_TRIP = {"link.network": "constant:1s"}
+# The push is from 1.0 s to 1.2 s.
+SECONDS = 3.0
 
 
 def column(result, name):
@@ -21,19 +24,19 @@ def in_task(result):
 @pytest.fixture(scope="module")
 def pushed(play):
     """100 N for 0.2 s."""
-    return play(duration=5.0, controller="lc", **ROUND_TRIP)
+    return play(duration=SECONDS, controller="lc", **ROUND_TRIP)
 
 
 @pytest.fixture(scope="module")
 def walked(play):
-    return play(task="walk", controller="lc", **ROUND_TRIP, **{"walk.steps": 3})
+    return play(task="walk", controller="lc", **ROUND_TRIP, **SHORT_STANDS, **{"walk.steps": 3})
 
 
 def test_at_a_second_it_balances_a_push_as_locally_assisted_does_without_delay(play, pushed):
-    assisted = play(duration=5.0, controller="la", **{"link.network": "constant:0ms"}).summary
+    assisted = play(duration=SECONDS, controller="la", **{"link.network": "constant:0ms"}).summary
     assert not pushed.summary["fell"]
-    assert pushed.summary["task_seconds"] == 5.0
-    # 1.56 cm both, measured.
+    assert pushed.summary["task_seconds"] == SECONDS
+    # 1.56 cm both, measured over 5 s.
     assert pushed.summary["com_error_m"] <= 1.05 * assisted["com_error_m"]
 
 
@@ -43,7 +46,7 @@ def test_every_command_is_a_correction_of_an_answer_a_second_old(pushed):
         "cached": 0,
         "held": 0,
         "on_board": 0,
-        "corrected": 5000,
+        "corrected": 1000 * SECONDS,
         "stopping": 0,
     }
     assert column(pushed, "projector_age_ns")[in_task(pushed)].min() > 1e9
@@ -60,16 +63,16 @@ def test_its_corrections_converge_all_the_time(pushed, walked):
 
 
 def test_answers_are_sent_when_they_are_needed_only(pushed):
-    # Locally assisted, 5000: 28 MB/s.
+    # Locally assisted, one a millisecond: 28 MB/s.
     downlink = pushed.summary["link"]["downlink"]
-    assert downlink["sent"] < 200
+    assert downlink["sent"] < 120
     assert downlink["bytes_per_message"]["max"] <= 40_000
 
 
 def test_at_a_second_it_walks_without_a_computer_of_its_own(walked):
     summary = walked.summary
     assert not summary["fell"]
-    assert summary["task_seconds"] == pytest.approx(5.4)
+    assert summary["task_seconds"] == pytest.approx(3.8)
     assert summary["on_board_qps"] == 0
     assert (column(walked, "source")[in_task(walked)] == 4).all()
     com, reference = column(walked, "com")[-1], column(walked, "com_reference")[-1]
@@ -98,14 +101,14 @@ def test_a_link_that_is_cut_for_good_is_withstood(play, trace):
     delays = np.full((2, 4000), 5.0)
     delays[:, 300:] = LOST
     result = play(
-        duration=2.5,
+        duration=1.8,
         controller="lc",
-        push=["100N@0.6s:0.2s:+y"],
+        push=["100N@0.4s:0.2s:+y"],
         **{"link.network": trace(delays), "loop.hold_after": 0.1},
     )
     assert not result.summary["fell"]
     assert result.summary["commands"]["held"] == 0
-    assert column(result, "projector_age_ns")[-1] > 2e9
+    assert column(result, "projector_age_ns")[-1] > 1.4e9
 
 
 ROUGH = {
@@ -145,9 +148,9 @@ STALE = {
 
 def test_a_robot_that_doubts_its_corrections_finishes_the_step_and_stands(play):
     # Over any estimate at all: the walk ends as soon as it has begun.
-    result = play(**STALE, duration=5.5, **{"correction.stop_above": 0.0})
+    result = play(**STALE, **SHORT_STANDS, duration=3.6, **{"correction.stop_above": 0.0})
     assert not result.summary["fell"]
-    assert result.summary["commands"]["stopping"] > 5000
+    assert result.summary["commands"]["stopping"] > 3200
     schema, rows = result.schema, result.rows
     assert schema.column(rows, "mode")[-1] == 0
     assert np.abs(schema.column(rows, "v")[-1]).max() < 0.05
@@ -156,7 +159,8 @@ def test_a_robot_that_doubts_its_corrections_finishes_the_step_and_stands(play):
 
 
 def test_where_corrections_diverge_the_stale_optimum_is_used_without_a_jump(play, robot):
-    result = play(**STALE, duration=2.0, **{"walk.steps": 1, "correction.give_up_above": 0.25})
+    settings = {"walk.steps": 1, **SHORT_STANDS, "correction.give_up_above": 0.25}
+    result = play(**STALE, duration=1.6, **settings)
     assert not result.summary["fell"]
     commands = result.summary["commands"]
     assert commands["cached"] > 0

@@ -20,14 +20,14 @@ def running(result):
 
 @pytest.fixture(scope="module")
 def assisted_90(play):
-    return play(duration=5.0, controller="la", **{"link.network": "constant:90ms"})
+    return play(duration=3.0, controller="la", **{"link.network": "constant:90ms"})
 
 
 def test_locally_assisted_stands_a_push_at_ninety_milliseconds(assisted_90):
     summary = assisted_90.summary
     assert not summary["fell"]
-    assert summary["task_seconds"] == 5.0
-    # 2.08 cm measured; the paper's Table II has 2.5 cm. Without delay it is 1.56 cm.
+    assert summary["task_seconds"] == 3.0
+    # 2.08 cm measured over 5 s; the paper's Table II has 2.5 cm. Without delay it is 1.56 cm.
     assert summary["com_error_m"] <= 0.026
 
 
@@ -40,20 +40,19 @@ def test_purely_remote_falls_under_the_same_push_at_fifty_milliseconds(play):
 
 
 def test_purely_remote_stands_the_push_without_delay(play):
-    result = play(duration=2.5, controller="pr", **{"link.network": "constant:0ms"})
+    result = play(duration=2.0, controller="pr", **{"link.network": "constant:0ms"})
     assert not result.summary["fell"]
 
 
 def test_a_single_precision_projector_stands_as_well(play, assisted_90):
     result = play(
-        duration=3.0, **{"link.network": "constant:90ms", "wire.projector_dtype": "float32"}
+        duration=1.5, **{"link.network": "constant:90ms", "wire.projector_dtype": "float32"}
     )
     assert not result.summary["fell"]
     # Rounding of 1e-7 of the torque, below any sensor: the same path to a hundredth of a millimetre
     # until the push is over.
-    same = running(result).sum() // 2
-    double = column(assisted_90, "com")[running(assisted_90)][:same]
-    single = column(result, "com")[running(result)][:same]
+    single = column(result, "com")[running(result)]
+    double = column(assisted_90, "com")[running(assisted_90)][: len(single)]
     np.testing.assert_allclose(single, double, atol=1e-5)
     half, whole = (
         each.summary["link"]["downlink"]["bytes_per_message"]["max"]
@@ -141,6 +140,6 @@ def test_torques_stay_within_the_clamp_through_a_push_and_a_fall(play, robot, as
 
 
 def test_a_run_over_a_measured_path_stands(play):
-    result = play(duration=2.5, **{"link.network": "factory/003"})
+    result = play(duration=2.0, **{"link.network": "factory/003"})
     assert not result.summary["fell"]
-    assert result.summary["commands"]["cached"] > 2000
+    assert result.summary["commands"]["cached"] > 1600

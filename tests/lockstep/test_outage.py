@@ -44,7 +44,7 @@ def outage(trace):
 @pytest.mark.parametrize("controller", ["la", "pr"])
 def test_when_the_link_is_cut_the_robot_goes_on_with_what_it_has(play, robot, cut, controller):
     result = play(
-        duration=2.5,
+        duration=1.6,
         push=[],
         controller=controller,
         **{"link.network": cut, "loop.hold_after": FOR_EVER},
@@ -61,7 +61,7 @@ def test_when_the_link_is_cut_the_robot_goes_on_with_what_it_has(play, robot, cu
 
 
 def test_a_robot_whose_link_is_cut_for_good_holds_its_joints_and_stands(play, cut):
-    result = play(duration=3.0, push=[], **{"link.network": cut, "loop.hold_after": 0.1})
+    result = play(duration=2.0, push=[], **{"link.network": cut, "loop.hold_after": 0.1})
     # It sways by 2 cm. Entered late, after half a second of stale projectors, it may tip over.
     com_error = column(result, "com_error_m")
     assert not result.summary["fell"]
@@ -70,7 +70,7 @@ def test_a_robot_whose_link_is_cut_for_good_holds_its_joints_and_stands(play, cu
     # From the limit on it is held for ever: no going back and forth.
     first = int(np.argmax(held & (column(result, "time_ns") >= 0)))
     assert held[first:].all()
-    assert result.summary["commands"]["held"] > 2000
+    assert result.summary["commands"]["held"] > 1200
 
 
 @pytest.mark.parametrize("controller", ["la", "pr"])
@@ -147,7 +147,8 @@ def test_during_an_outage_shorter_than_the_limit_nothing_is_held(play, outage):
 
 
 def test_a_third_of_the_messages_may_be_lost(play):
-    result = play(duration=2.5, **{"link.network": "constant:20ms", "link.loss": 0.3})
+    settings = {"link.network": "constant:20ms", "link.loss": 0.3}
+    result = play(duration=1.5, push=["100N@0.2s:0.2s:+y"], **settings)
     assert not result.summary["fell"]
     for name in ("uplink", "downlink"):
         way = result.summary["link"][name]

@@ -7,26 +7,23 @@ import pytest
 
 from shared.config.settings import RunConfig
 from shared.robots import CATALOGUE
+from tests.lockstep.conftest import SHORT_STANDS
 
 OTHERS = [name for name in CATALOGUE if name != RunConfig().robot.name]
 # Locally assisted and locally corrected, each over a delay that it takes.
 LA, LC = ("la", "constant:25ms"), ("lc", "constant:400ms")
 
-SHORT = {"walk.steps": 2, "walk.begin_duration": 0.6, "walk.end_duration": 0.8}
-
-
-def each_with(usual, other):
-    """Every robot with one of both, and Talos, the heaviest, with the other one too."""
-    played = [(name, *usual) for name in OTHERS] + [("talos", *other)]
-    return pytest.mark.parametrize(("name", "controller", "network"), played)
+# Each is played once by each robot.
+each_robot = pytest.mark.parametrize("name", OTHERS)
 
 
 def com_error(result):
     return result.schema.column(result.rows, "com_error_m")
 
 
-@each_with(LA, LC)
-def test_it_takes_a_push_and_comes_back(play, name, controller, network):
+@each_robot
+def test_it_takes_a_push_and_comes_back(play, name):
+    controller, network = LA
     result = play(
         duration=3.0, controller=controller, **{"robot.name": name, "link.network": network}
     )
@@ -38,12 +35,13 @@ def test_it_takes_a_push_and_comes_back(play, name, controller, network):
     assert error[-1] < 0.6 * error.max()
 
 
-@each_with(LC, LA)
-def test_it_walks_to_where_the_plan_ends(play, name, controller, network):
+@each_robot
+def test_it_walks_to_where_the_plan_ends(play, name):
+    controller, network = LC
     result = play(
         task="walk",
         controller=controller,
-        **{"robot.name": name, "link.network": network, **SHORT},
+        **{"robot.name": name, "link.network": network, "walk.steps": 2, **SHORT_STANDS},
     )
     assert not result.summary["fell"]
     assert result.summary["commands"]["held"] == 0

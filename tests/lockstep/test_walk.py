@@ -7,12 +7,13 @@ import pytest
 
 from netem.profile import LOST
 from shared.telemetry.schema import Source
+from tests.lockstep.conftest import SHORT_STANDS
 
 MS = 1_000_000
 
 
 def walk(play, delay_ms, **changes):
-    """Four steps of 0.1 m with the on-board computer as slow as the link, as in Table III."""
+    """Three steps of 0.1 m with the on-board computer as slow as the link, as in Table III."""
     return play(
         task="walk",
         **{
@@ -20,7 +21,8 @@ def walk(play, delay_ms, **changes):
             "switch.compute_ns": delay_ms * MS,
             "switch.compute_time_scale": 1.0,
             "walk.double_support": 0.005,
-            "walk.steps": 4,
+            "walk.steps": 3,
+            **SHORT_STANDS,
             **changes,
         },
     )
@@ -32,11 +34,11 @@ def test_without_delay_romeo_arrives_where_the_plan_ends(play):
     com = result.schema.column(result.rows, "com")[-1]
     reference = result.schema.column(result.rows, "com_reference")[-1]
     assert np.linalg.norm(com - reference) < 0.05
-    # Three advancing steps of 0.1 m.
-    assert com[0] > 0.25
+    # Two advancing steps of 0.1 m.
+    assert com[0] > 0.17
 
 
-@pytest.mark.parametrize("delay_ms", [3, 25, 60])
+@pytest.mark.parametrize("delay_ms", [25, 60])
 def test_locally_assisted_walks_over_a_delay(play, delay_ms):
     result = walk(play, delay_ms)
     assert not result.summary["fell"]
@@ -48,7 +50,7 @@ def test_around_a_switch_the_robot_uses_its_own_solutions(play):
     result = walk(play, 25)
     assert result.summary["commands"]["on_board"] > 0
     # One preparation for each end of each single support, and full QPs in the windows.
-    assert result.summary["on_board_qps"] > 8
+    assert result.summary["on_board_qps"] > 6
 
 
 def test_every_switch_is_prepared_even_with_a_computer_slower_than_a_double_support(play):
@@ -57,7 +59,7 @@ def test_every_switch_is_prepared_even_with_a_computer_slower_than_a_double_supp
     # A loaded foot stays where it was set down: 0.45 mm measured.
     assert summary["foot_slip_mm"]["max"] < 2.0
     # A double support of 5 ms is over before its own answer can be there.
-    assert summary["switch_to_fresh_ms"]["never"] == 3
+    assert summary["switch_to_fresh_ms"]["never"] == 2
     assert summary["switch_to_fresh_ms"]["max"] <= 26.0
 
 
@@ -89,16 +91,20 @@ def test_either_end_alone_can_prepare_a_switch(play):
 
 def test_the_active_set_used_is_the_true_one_without_delay_and_older_with_it(play):
     assert walk(play, 0).summary["active_set_discrepancy"]["max"] == 0
-    later = [walk(play, delay).summary["active_set_discrepancy"]["mean"] for delay in (3, 25, 60)]
-    assert 0 < later[0] < later[1] < later[2]
+    later = [walk(play, delay).summary["active_set_discrepancy"]["mean"] for delay in (25, 60)]
+    assert 0 < later[0] < later[1]
 
 
 def test_states_the_edge_never_saw_have_a_true_active_set_too(play, trace):
-    delays = np.full((2, 4000), 1.0)
-    delays[0, 1200:1400] = LOST
-    result = play(push=[], duration=2.0, **{"link.network": trace(delays)})
-    assert result.summary["link"]["uplink"]["received"] < 2000
-    assert result.summary["active_set_discrepancy"]["mean"] is not None
+    delays = np.full((2, 1000), 1.0)
+    delays[0, 300:500] = LOST
+    settings = {"push": [], "duration": 0.6, "link.network": trace(delays)}
+    known = []
+    for all_active_sets in (False, True):
+        summary = play(**settings, all_active_sets=all_active_sets).summary
+        assert summary["link"]["uplink"]["received"] < 600
+        known.append(sum(summary["active_set_discrepancy"]["ticks"]))
+    assert known[0] <= 400 < known[1] == 600
 
 
 def test_purely_remote_walks_over_small_delays_with_a_larger_violation(play):
@@ -111,11 +117,9 @@ def test_purely_remote_walks_over_small_delays_with_a_larger_violation(play):
 @pytest.mark.parametrize(
     "plan",
     [
-        {"steps": 3, "step_length": 0.15},
-        {"steps": 3, "step_length": -0.1},
-        {"steps": 3, "step_length": 0.0, "step_sideways": 0.05},
-        {"steps": 3, "step_length": 0.05, "step_turn": 0.22},
-        {"steps": 3, "com_plan": "mpc"},
+        {"step_length": 0.15},
+        {"step_length": -0.1, "com_plan": "mpc"},
+        {"step_length": 0.05, "step_sideways": 0.03, "step_turn": 0.22},
     ],
     ids=str,
 )
