@@ -11,6 +11,7 @@ from datetime import datetime, timedelta, timezone
 import numpy as np
 
 from netem.importers.measured import UNITS_NS
+from netem.importers.source import MAX_NS
 
 _WORDS = {
     "s": ("s", "sec", "secs", "second", "seconds"),
@@ -43,7 +44,10 @@ def unit_ns(name: str, column: str) -> int | None:
 
 
 def date_time_ns(text: str) -> int | None:
-    """A date and time as ns since 1970, a time of day as ns since midnight; None for other text."""
+    """A date and time as ns since 1970, a time of day as ns since midnight; None for other text.
+
+    It is also None for a date that is more than 146 years from 1970.
+    """
     match = _DATE_TIME.fullmatch(text)
     if match is not None:
         *date, hour, minute, second, fraction, zone = match.groups()
@@ -61,7 +65,8 @@ def date_time_ns(text: str) -> int | None:
         return None
     whole = moment - datetime(1970, 1, 1, tzinfo=timezone.utc)
     seconds = whole.days * 86_400 + whole.seconds
-    return seconds * UNITS_NS["s"] + int((fraction or "").ljust(9, "0"))
+    time_ns = seconds * UNITS_NS["s"] + int((fraction or "").ljust(9, "0"))
+    return time_ns if abs(time_ns) < MAX_NS else None
 
 
 def is_time_of_day(text: str) -> bool:

@@ -234,7 +234,13 @@ def test_times_of_day_are_said(convert, written):
     assert any("times of day" in note for note in profile.metadata["notes"])
 
 
-@pytest.mark.parametrize("text", ["2023-13-14 22:13:20", "22:13", "14.11.2023 22:13:20"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("2023-13-14 22:13:20", "22:13", "14.11.2023 22:13:20"),
+        *("0023-11-14 22:13:20", "9999-11-14 22:13:20"),
+    ],
+)
 def test_a_time_that_is_none_is_refused_with_its_line(refused, written, text):
     file = written("t.csv", f"t,d_ms\n22:13:19,1\n{text},1\n")
     assert "line 3: expected sent as in 2023-11-14 22:13:20.5" in refused(
