@@ -6,6 +6,7 @@ An unknown key or a value of the wrong type is a `ConfigError` that names the va
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import types
 import typing
@@ -156,12 +157,14 @@ def _set_dotted(table: dict[str, Any], key: str, value: Any) -> None:
 
 
 _T = TypeVar("_T")
+# A study builds the settings of thousands of trials: the types of a class are read once.
+_type_hints = functools.cache(typing.get_type_hints)
 
 
 def _build(cls: type[_T], table: Any, *, where: str) -> _T:
     if not isinstance(table, dict):
         raise ConfigError(f"{where}: expected a table of settings, got {table!r}")
-    hints = typing.get_type_hints(cls)
+    hints = _type_hints(cls)  # type: ignore[arg-type]
     names = [f.name for f in dataclasses.fields(cls)]  # type: ignore[arg-type]
     values = {}
     for key, value in table.items():
