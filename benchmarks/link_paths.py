@@ -6,7 +6,9 @@ packet-level shim. `kernel` has the kernel's emulation, `tc … netem`, where th
 
 from __future__ import annotations
 
+import contextlib
 import os
+import random
 import select
 import signal
 import socket
@@ -26,6 +28,8 @@ READY_SECONDS = 60.0
 _END_SECONDS = 30.0
 _NAMESPACES = ("wbc-bench-robot", "wbc-bench-edge")
 _PORT = 7460
+# Below the ports that Linux gives to a socket that asks for any.
+_CHOSEN_PORTS = range(20_000, 32_000)
 # 10 s of 40 kB messages in packets of 1500 bytes: the kernel's default of 1000 would drop most.
 _KERNEL_PACKETS = 300_000
 
@@ -164,15 +168,17 @@ def why_no_kernel() -> str | None:
 
 
 def free_endpoints(count: int) -> list[str]:
-    """Return loopback endpoints that no process uses."""
-    sockets = [socket.socket() for _ in range(count)]
-    try:
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [f"tcp/127.0.0.1:{each.getsockname()[1]}" for each in sockets]
-    finally:
-        for each in sockets:
-            each.close()
+    """Return loopback endpoints that no process uses.
+
+    Before a process listens there, Linux gives their ports to no socket that asks for any.
+    """
+    ports: set[int] = set()
+    while len(ports) < count:
+        port = random.choice(_CHOSEN_PORTS)
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            ports.add(port)
+    return [f"tcp/127.0.0.1:{port}" for port in ports]
 
 
 def _between_namespaces(protocol: str, between: Started | None) -> LinkPath:

@@ -121,6 +121,8 @@ def environment(lock: Path = _LOCK) -> Path:
         return interpreter
     print(f"installing {' and '.join(PEERS)} into {folder} (600 MB)", file=sys.stderr)
     pip = [str(interpreter), "-I", "-m", "pip", "install", "--disable-pip-version-check"]
+    # Most of their modules are never imported.
+    pip += ["--no-compile"]
     pip += ["--require-hashes", "--only-binary", ":all:", "--requirement", str(lock)]
     for command in (python("-m", "venv", "--clear", str(folder)), pip):
         done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -1,5 +1,8 @@
 """What every test may use: one loaded robot, its model and stacks, and random states near standing.
 
+With several workers of pytest-xdist, one of them plays the tests in tests/live, before all others.
+Meanwhile the other workers use what these leave of the machine: they have the lowest priority.
+
 Linear algebra on one thread and with one kernel, as in every process of ours: results are the same
 to the last bit on all machines that docs/reproduction.md names, and tests do not fight over cores.
 """
@@ -11,22 +14,29 @@ import shared.process.native_libraries  # noqa: F401
 
 # isort: on
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist import is_xdist_worker
+from xdist.scheduler import LoadFileScheduling
 
+from remote_wbc import __version__, commands
 from shared.config.config_file import load_config
 from shared.config.settings import RunConfig
 from shared.motion.standing import Standing
+from shared.process.cli import run, run_command
 from shared.robots import Robot, load_robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Reference
 from shared.wbc.stack import Stack, make_stacks
 from tests.late import add_option, be_late
+from tests.processes import ROOT, Typed
 from tests.states import State, random_states
 
 # The same examples in every run, however slow the machine is at that moment.
@@ -46,6 +56,31 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["TERM"] = "xterm"
     for name in ("NO_COLOR", "COLUMNS", "LINES"):
         os.environ.pop(name, None)
+
+
+def is_live(nodeid: str) -> bool:
+    """Return whether a test starts stacks: only one such test runs at a time."""
+    return nodeid.startswith("tests/live/")
+
+
+class OneLiveWorker(LoadFileScheduling):
+    """The tests of a file stay in one worker, and those of all live files too."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "live" if is_live(nodeid) else super()._split_scope(nodeid)
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> OneLiveWorker | None:
+    return OneLiveWorker(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: not is_live(item.nodeid))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if is_xdist_worker(item.session) and not is_live(item.nodeid):
+        os.setpriority(os.PRIO_PROCESS, 0, 19)
 
 
 @pytest.fixture(scope="session")
@@ -97,3 +132,19 @@ def configured() -> Callable[..., RunConfig]:
         return load_config(None, overrides)
 
     return build
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Typed:
+    """`typed("netem", "list")`: what `./wbc netem list` does, in this process."""
+    monkeypatch.chdir(ROOT)
+
+    def play(*words: str) -> subprocess.CompletedProcess[str]:
+        monkeypatch.setattr(sys, "argv", ["wbc", *words])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            run(lambda: run_command(None, commands(), version=__version__))
+        assert isinstance(ended.value.code, int)
+        return subprocess.CompletedProcess(words, ended.value.code, *capsys.readouterr())
+
+    return play

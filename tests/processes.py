@@ -25,6 +25,8 @@ PATIENCE_SECONDS = 120.0
 # A stack loads five processes one after the other, and the machine may do more besides by then.
 _LOADS = 20
 _Found = TypeVar("_Found")
+# The fixture `typed` of tests/conftest.py.
+Typed = Callable[..., subprocess.CompletedProcess[str]]
 
 
 class Patience:

@@ -13,7 +13,7 @@ import pytest
 from remote_wbc import __version__, commands
 from shared.process.cli import Group
 from shared.process.entry import python
-from tests.processes import ROOT
+from tests.processes import ROOT, Typed
 
 EVERY = [
     f"{prefix}{command.name}"
@@ -28,8 +28,8 @@ SHORT_FORMS = {
     "./deploy/logs": "logs",
     "./deploy/restart": "restart",
     "./deploy/down": "down",
-    "./deploy/python -m experiments trial": "trial",
-    "./deploy/python -m deploy up": "up",
+    "./deploy/python -m experiments new": "new",
+    "./deploy/python -m deploy ps": "ps",
     "./deploy/python -m netem stats": "netem stats",
     "./deploy/python -m viewer open": "viewer open",
     "./deploy/python -m benchmarks core": "bench core",
@@ -48,6 +48,14 @@ def ran(typed: str, *, cwd: Path = ROOT, **environment: str) -> subprocess.Compl
     )
 
 
+@pytest.fixture(scope="module")
+def bash_completion(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The completion script for bash."""
+    path = tmp_path_factory.mktemp("completion") / "wbc.bash"
+    path.write_text(ran("./wbc completion bash").stdout)
+    return path
+
+
 def usage_of(output: str) -> str:
     """The first line of help, up to the options."""
     found = re.match(r"usage: (.*?)(?= \[-h\]| IN )", output)
@@ -60,15 +68,15 @@ def test_it_says_its_version() -> None:
 
 
 @pytest.mark.parametrize("command", EVERY)
-def test_a_usage_line_works_as_it_is_printed(command: str) -> None:
-    shown = ran(f"./wbc {command} --help")
+def test_a_usage_line_works_as_it_is_printed(typed: Typed, command: str) -> None:
+    shown = typed(*command.split(), "--help")
     assert shown.returncode == 0, shown.stderr
     assert usage_of(shown.stdout) == f"./wbc {command}"
 
 
-@pytest.mark.parametrize(("typed", "command"), SHORT_FORMS.items())
-def test_scripts_and_modules_are_short_forms_of_it(typed: str, command: str) -> None:
-    shown = ran(f"{typed} --help")
+@pytest.mark.parametrize(("form", "command"), SHORT_FORMS.items())
+def test_scripts_and_modules_are_short_forms_of_it(form: str, command: str) -> None:
+    shown = ran(f"{form} --help")
     assert usage_of(shown.stdout) == f"./wbc {command}"
 
 
@@ -80,7 +88,7 @@ def test_it_is_typed_as_it_can_be_from_where_one_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("typed", "command"),
+    ("words", "command"),
     [
         ("trial --colour red", "trial"),
         ("--colour trial", "trial"),
@@ -90,8 +98,10 @@ def test_it_is_typed_as_it_can_be_from_where_one_is(tmp_path: Path) -> None:
         ("", ""),
     ],
 )
-def test_a_mistake_is_one_line_of_the_command_it_is_in(typed: str, command: str) -> None:
-    refused = ran(f"./wbc {typed}")
+def test_a_mistake_is_one_line_of_the_command_it_is_in(
+    typed: Typed, words: str, command: str
+) -> None:
+    refused = typed(*words.split())
     assert refused.returncode == 2
     assert refused.stdout == ""
     (line,) = refused.stderr.splitlines()
@@ -113,8 +123,9 @@ def test_a_look_at_what_runs_loads_no_mathematics() -> None:
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
-def test_completion_is_a_script_of_the_shell_without_a_fault(shell: str) -> None:
-    script = ran(f"./wbc completion {shell}").stdout
+def test_completion_is_a_script_of_the_shell_without_a_fault(typed: Typed, shell: str) -> None:
+    script = typed("completion", shell).stdout
+    assert "viewer" in script
     if shutil.which(shell) is None:
         pytest.skip(f"no {shell} here")
     checked = subprocess.run([shell, "-n"], input=script, capture_output=True, text=True)
@@ -122,7 +133,7 @@ def test_completion_is_a_script_of_the_shell_without_a_fault(shell: str) -> None
 
 
 @pytest.mark.parametrize(
-    ("typed", "offered"),
+    ("line", "offered"),
     [
         ("wbc tr", {"trial"}),
         ("wbc netem conv", {"convert"}),
@@ -130,11 +141,13 @@ def test_completion_is_a_script_of_the_shell_without_a_fault(shell: str) -> None
         ("wbc viewer snapshot --an", {"--animation"}),
     ],
 )
-def test_bash_completes_commands_and_options(typed: str, offered: set[str]) -> None:
-    words = " ".join(f"'{word}'" for word in typed.split())
+def test_bash_completes_commands_and_options(
+    bash_completion: Path, line: str, offered: set[str]
+) -> None:
+    words = " ".join(f"'{word}'" for word in line.split())
     script = (
-        'eval "$(./wbc completion bash)"\n'
-        f"COMP_WORDS=({words}); COMP_CWORD={len(typed.split()) - 1}\n"
+        f'eval "$(cat {bash_completion})"\n'
+        f"COMP_WORDS=({words}); COMP_CWORD={len(line.split()) - 1}\n"
         "$(complete -p wbc | sed 's/.*-F \\([^ ]*\\).*/\\1/') wbc\n"
         'printf "%s\\n" "${COMPREPLY[@]}"\n'
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import os
 import resource
@@ -19,6 +20,7 @@ from shared.errors import ConfigError, LinkError, UserError, writing
 from shared.process.cli import command_parser, run
 from shared.regular_file import read_regular
 from shared.toml_file import read_toml
+from tests.processes import Typed
 
 # Every command that takes a file of settings, and every one that takes a profile.
 WITH_SETTINGS = (
@@ -120,15 +122,17 @@ def test_settings_of_a_few_levels_are_read(content: str, tmp_path: Path):
 def an_archive(shape: tuple[int, ...], n_bytes: int = 0) -> Callable[[Path], object]:
     """A maker of a profile whose arrays claim `shape` and have `n_bytes` bytes."""
 
-    def make(path: Path) -> None:
-        header = io.BytesIO()
+    @functools.cache
+    def packed() -> bytes:
+        header, content = io.BytesIO(), io.BytesIO()
         claim = {"descr": "<i8", "fortran_order": False, "shape": shape}
         np.lib.format.write_array_header_1_0(header, claim)
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
             for way in ("uplink_us", "downlink_us"):
                 archive.writestr(f"{way}.npy", header.getvalue() + bytes(n_bytes))
+        return content.getvalue()
 
-    return make
+    return lambda path: path.write_bytes(packed())
 
 
 BAD_PROFILES = {
@@ -180,6 +184,30 @@ def test_measurements_that_are_no_file(make, tmp_path: Path):
 @pytest.mark.parametrize("name", ["", " ", "a/b", "A"])
 def test_a_name_that_no_robot_can_have(command, name: str):
     assert "name: expected small letters" in mistake(*command, name)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("up --colour red", "unrecognized arguments"),
+        ("up --network no/such", "expected a shipped profile"),
+        ("up --config absent.toml", "cannot read absent.toml"),
+        ("up --push hard", "push: expected"),
+        ("up --only edge,robots", "edge, netem, robot, viewer, router"),
+        ("up --only robot", "--edge tls/HOST:7460"),
+        ("up --secure /nonexistent", "wbc keys /nonexistent"),
+    ],
+)
+def test_a_mistake_on_the_command_line_is_one_line(typed: Typed, words: str, expected: str):
+    done = typed(*words.split())
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert expected in line
+
+
+def test_a_bad_line_of_a_trace_is_named(tmp_path: Path):
+    (tmp_path / "mine.csv").write_text("uplink_ms,downlink_ms\n1.5,1.7\n1.5,soon\n")
+    assert "line 3" in mistake("netem", "replay", str(tmp_path / "mine.csv"))
 
 
 @pytest.mark.parametrize("command", ["trial", "up"])

@@ -32,7 +32,7 @@ Played = dict[Case, Outcome | None]
 
 def add_faults_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = __doc__
-    parser.add_argument("--short", action="store_true", help="some 3 minutes instead of an hour")
+    parser.add_argument("--short", action="store_true", help="some 2 minutes instead of an hour")
     parser.add_argument("--seed", type=int, default=0, help="of the cases; 0")
     parser.add_argument(
         "--kind", choices=KINDS, action="append", help="only these cases; repeatable"

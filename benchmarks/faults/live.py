@@ -390,7 +390,7 @@ def _drawn(**choices: tuple[Any, ...]) -> Draw:
     return parameters
 
 
-# The short campaign has the first three.
+# The short campaign has the first one.
 _FAULTS: dict[str, tuple[Draw, Play]] = {
     "kill -9 of the edge": (_drawn(), _kill("edge")),
     "kill -9 of the supervisor": (_drawn(), _kill_supervisor),

@@ -283,28 +283,13 @@ def test_the_page_names_every_promise() -> None:
     assert not missing, "run ./wbc bench faults --docs docs"
 
 
-# The short campaign.
-
-SHORT_CASES = chosen(0, short=True)
+# The short campaign. Its live part: tests/live/test_benchmarks.py.
 
 
 @pytest.mark.parametrize(
-    "case", [case for case in SHORT_CASES if case.kind != LIVE], ids=lambda case: case.name
+    "case", chosen(0, short=True, kinds=[FUZZ, LOCKSTEP]), ids=lambda case: case.name
 )
 def test_the_short_campaign_keeps_every_promise(case: Case) -> None:
     record = play_case(case)
     assert record["error"] is None
     assert broken(case, record["summary"]) == []
-
-
-@pytest.mark.live
-@pytest.mark.parametrize(
-    "case", [case for case in SHORT_CASES if case.kind == LIVE], ids=lambda case: case.name
-)
-def test_the_live_part_of_the_short_campaign_keeps_every_promise(case: Case) -> None:
-    record = play_case(case)
-    assert record["error"] is None
-    outcome = record["summary"]
-    if "skipped" in outcome:
-        pytest.skip(outcome["skipped"])
-    assert broken(case, outcome) == [], outcome

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-
 import numpy as np
 import pytest
 
 from benchmarks import core, floor, messages, peers
 from shared.config.settings import RunConfig
-from shared.errors import LinkError
-from shared.process.entry import python
 from shared.robots import load_robot
-from tests.processes import ROOT
 
 
 @pytest.fixture
@@ -24,7 +19,7 @@ def no_messages(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "typed",
+    "words",
     [
         "core --repetitions 0",
         "core --seconds 0.1",
@@ -34,14 +29,8 @@ def no_messages(monkeypatch):
         "peers --rounds 0",
     ],
 )
-def test_a_flag_that_cannot_be_used_is_refused_in_a_line(typed):
-    done = subprocess.run(
-        python("-m", "benchmarks", *typed.split()),
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def test_a_flag_that_cannot_be_used_is_refused_in_a_line(typed, words):
+    done = typed("bench", *words.split())
     assert (done.returncode, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
     assert line.startswith("error: --")
@@ -67,16 +56,6 @@ def test_floor_has_a_sum_for_each_loop(no_messages):
     assert "\nreceive 28300 B" in text
 
 
-@pytest.mark.live
-def test_messages_are_sent_and_received_by_the_bus_and_by_zenoh_alone(monkeypatch):
-    monkeypatch.setattr(messages, "MESSAGES", 50)
-    for connect in (messages.ours, messages.bare):
-        sent, received = messages.measure(connect)
-        assert (len(sent), len(received)) == (50, 49)
-        assert np.all(sent >= 0)
-        assert np.all(received >= 0)
-
-
 def test_the_peers_are_told_of_the_same_robot_states_and_tasks(tmp_path):
     config, robot = RunConfig(), load_robot("romeo")
     states = [(robot.q_standing, np.zeros(robot.model.nv))] * 3
@@ -100,22 +79,3 @@ def test_peers_that_cannot_be_installed_are_left_out_with_the_reason(
     text = peers.run(rounds=1)
     assert text.startswith("no comparison with tsid and placo: cannot install them: ERROR: ")
     assert "\n" not in text
-
-
-# It may install them first, which is nothing for a quick look.
-@pytest.mark.live
-def test_the_peers_take_a_step_at_the_same_states(no_messages):
-    try:
-        peers.environment()
-    except LinkError as error:
-        pytest.skip(str(error))
-    lines = peers.run(rounds=1).splitlines()
-    assert lines[1].startswith("peers: tsid 1.7.1, placo ")
-    rows = lines[5 : 5 + len(peers.PEERS) + 5]
-    assert [row[:22].strip() for row in rows] == [
-        "PR robot tick", "LA robot tick", "LC robot tick", "edge step for LA",
-        "edge: solution and A†", "tsid step", "placo step",
-    ]  # fmt: skip
-    tsid = next(line for line in lines if line.startswith("torques of tsid"))
-    # The same problem but for the least normal force: equal where nothing is near its bound.
-    assert float(tsid.split("at most ")[1].split()[0]) < 1.0

@@ -137,7 +137,8 @@ def test_a_stack_whose_robot_falls_ends_by_itself_and_says_so_later(
     following = start("deploy", "logs", "-f", "--run", str(run))
     assert following.wait() == 0
     assert "FELL after" in following.output
-    assert " robot | pushed with 100 N to +y" in following.output
+    # On a busy machine it may fall before its push.
+    assert " robot | first answer received" in following.output
     shown = message("ps")
     assert shown.returncode == 0
     assert shown.stdout.startswith("nothing is running\n")

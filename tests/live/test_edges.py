@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.link_paths import free_endpoints
-from tests.processes import Process
+from tests.processes import Process, until
+from tests.telemetry_hub import TelemetryHub
 
 pytestmark = pytest.mark.live
 
@@ -19,7 +20,7 @@ Start = Callable[..., Process]
 
 @pytest.mark.parametrize("controller", ["la", "lc"])
 def test_a_robot_with_two_edges_does_not_notice_that_one_is_killed(
-    start: Start, tmp_path: Path, controller: str
+    start: Start, hub: Callable[[], TelemetryHub], tmp_path: Path, controller: str
 ) -> None:
     (meeting,) = free_endpoints(1)
     router = start("deploy.router", "--listen", meeting)
@@ -30,13 +31,19 @@ def test_a_robot_with_two_edges_does_not_notice_that_one_is_killed(
         edge.wait_for("READY")
         ready = next(line for line in edge.lines if line.startswith("READY"))
         names.append(ready.split("romeo as ")[1].split()[0])
+    watched = hub()
     robot = start(
         *("robot_node", "--connect", meeting, "--controller", controller),
-        *("--duration", "6", "--push", "none", "--out", str(tmp_path)),
+        *("--telemetry", watched.endpoint),
+        *("--duration", "3600", "--push", "none", "--out", str(tmp_path)),
     )
     robot.wait_for("answers come from 2 edges")
+    until(lambda: watched.last("tick") > 500, lambda: robot.output)
     edges[0].signal(signal.SIGKILL)
-    assert robot.wait() == 0, robot.output
+    killed = watched.last("tick")
+    until(lambda: watched.last("tick") > killed + 1500, lambda: robot.output)
+    robot.signal(signal.SIGINT)
+    assert robot.wait() == 130, robot.output
     downlink = json.loads((tmp_path / "telemetry.json").read_text())["link"]["downlink"]
     assert set(downlink["answers"]) == set(names)
     assert all(counts["taken"] > 0 for counts in downlink["answers"].values())

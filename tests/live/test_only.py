@@ -16,7 +16,7 @@ pytestmark = pytest.mark.live
 
 Start = Callable[..., Process]
 
-ROBOT = ("--only", "robot", "--duration", "1", "--push", "none")
+ROBOT = ("--duration", "1", "--push", "none")
 
 
 def test_an_edge_alone_serves_robot_after_robot_until_it_is_told_to_end(
@@ -27,18 +27,21 @@ def test_an_edge_alone_serves_robot_after_robot_until_it_is_told_to_end(
     )
     edge.wait_for("READY")
     assert "for this machine only" in edge.output
-    for number, controller in enumerate(("la", "lc")):
-        out = tmp_path / f"robot-{number}"
-        robot = start(
-            "deploy",
-            "up",
-            *(*ROBOT, "--edge", endpoints[0], "--controller", controller, "--out", str(out)),
-        )
-        assert robot.wait() == 0, robot.output
-        summary = json.loads((out / "summary.json").read_text())
-        assert summary["network"] == "direct"
-        assert summary["link"]["downlink"]["received"] > 0
-        assert (out / "recording.rrd").exists()
+    out = tmp_path / "robot"
+    robot = start(
+        "deploy", "up", "--only", "robot", *ROBOT, "--edge", endpoints[0], "--out", str(out)
+    )
+    assert robot.wait() == 0, robot.output
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["network"] == "direct"
+    assert summary["link"]["downlink"]["received"] > 0
+    assert (out / "recording.rrd").exists()
+    out = tmp_path / "another"
+    another = start(
+        "robot_node", *ROBOT, "--connect", endpoints[0], "--controller", "lc", "--out", str(out)
+    )
+    assert another.wait() == 0, another.output
+    assert json.loads((out / "telemetry.json").read_text())["link"]["downlink"]["received"] > 0
     edge.signal(signal.SIGTERM)
     assert edge.wait() == 0, edge.output
     assert edge.output.count("a robot is sending states") >= 1

@@ -51,7 +51,7 @@ def test_robot_stands_on_an_edge_behind_a_slow_cable(
     assert "UNPROTECTED" not in edge.output
     robot = start(
         *("deploy", "up", "--only", "robot", "--edge", endpoint, *secure),
-        *("--controller", "lc", "--duration", "3", "--out", str(tmp_path / "robot")),
+        *("--controller", "lc", "--duration", "2", "--out", str(tmp_path / "robot")),
         machine=machines.robot,
     )
     assert robot.wait() == 0, robot.output
@@ -59,7 +59,7 @@ def test_robot_stands_on_an_edge_behind_a_slow_cable(
     assert edge.wait() == 0, edge.output
     summary = json.loads((tmp_path / "robot/summary.json").read_text())
     assert summary["fell"] is False
-    assert summary["commands"]["corrected"] == 3000
+    assert summary["commands"]["corrected"] == 2000
     assert summary["link"]["downlink"]["received"] > 0
     assert summary["link"]["downlink"]["refused"] == {}
     at_edge = json.loads((tmp_path / "edge/edge.json").read_text())
@@ -75,7 +75,7 @@ def test_a_cable_too_slow_loses_projectors_instead_of_delaying_them(
     edge.wait_for("READY")
     robot = start(
         *("robot_node", "--connect", endpoint, "--controller", "la", "--push", "none"),
-        *("--duration", "3", "--out", str(tmp_path)),
+        *("--duration", "2", "--out", str(tmp_path)),
         machine=machines.robot,
     )
     assert robot.wait() == 0, robot.output

@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.faults.stacks import rows_in
 from benchmarks.link_paths import free_endpoints
-from benchmarks.real_path.namespaces import Machines, two_machines
+from benchmarks.real_path.namespaces import Machine, Machines, two_machines
 from netem.networks import load_profile
 from netem.profile import LOST
 from shared.errors import UserError
@@ -25,6 +25,15 @@ from tests.processes import Process, until
 pytestmark = pytest.mark.live
 
 Start = Callable[..., Process]
+
+# `netem record` that says more often than every five seconds how it gets on.
+TALKATIVE = """
+from netem.__main__ import main
+from shared.output import screen
+from shared.process.cli import run
+screen._PLAIN_SECONDS = 0.6
+run(main)
+"""
 
 
 @pytest.fixture
@@ -60,6 +69,13 @@ def begin(start: Start, out: Path, *robot: str) -> tuple[Process, Process]:
     standing = start("robot_node", "--connect", endpoint, *given, *robot)
     standing.wait_for("the task begins")
     return edge, standing
+
+
+def record_for_an_hour(
+    start: Start, endpoint: str, out: Path, *, machine: Machine | None = None
+) -> Process:
+    recording = ("record", "--connect", endpoint, "--out", str(out), "--seconds", "3600")
+    return start("-c", TALKATIVE, *recording, machine=machine)
 
 
 def test_a_robot_whose_edge_is_frozen_ends_with_its_outcome(start: Start, tmp_path: Path) -> None:
@@ -121,7 +137,7 @@ def test_a_recording_whose_far_end_is_frozen_keeps_what_was_measured(
     far = start("netem", "record", "--listen", endpoint)
     far.wait_for("READY")
     out = tmp_path / "mylink.npz"
-    near = start("netem", "record", "--connect", endpoint, "--out", str(out), "--seconds", "3600")
+    near = record_for_an_hour(start, endpoint, out)
     near.wait_for("lost or late", times=1)
     far.signal(signal.SIGSTOP)
     near.wait_for("lost or late", times=3)
@@ -170,10 +186,7 @@ def test_a_recording_over_a_cable_that_is_cut_keeps_what_was_measured(
     far = start("netem", "record", "--listen", endpoint, machine=machines.edge)
     far.wait_for("READY")
     out = tmp_path / "mylink.npz"
-    near = start(
-        *("netem", "record", "--connect", endpoint, "--out", str(out), "--seconds", "3600"),
-        machine=machines.robot,
-    )
+    near = record_for_an_hour(start, endpoint, out, machine=machines.robot)
     near.wait_for("lost or late", times=1)
     machines.cut()
     near.wait_for("lost or late", times=3)

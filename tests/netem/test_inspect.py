@@ -1,18 +1,17 @@
 from __future__ import annotations
 
+import functools
 import json
 
 import pytest
 
-from shared.process.entry import python
-from tests.processes import played
+
+@pytest.fixture
+def netem(typed):
+    return functools.partial(typed, "netem")
 
 
-def netem(*arguments):
-    return played(*python("-m", "netem", *arguments))
-
-
-def test_a_list_has_a_line_per_profile():
+def test_a_list_has_a_line_per_profile(netem):
     done = netem("list", "factory-strong-signal")
     assert done.returncode == 0, done.stderr
     assert [line.split()[0] for line in done.stdout.splitlines()[1:]] == [
@@ -22,7 +21,7 @@ def test_a_list_has_a_line_per_profile():
     assert "1240.1 ms" in done.stdout.splitlines()[2]
 
 
-def test_a_profile_is_shown_and_drawn(tmp_path):
+def test_a_profile_is_shown_and_drawn(netem, tmp_path):
     picture = tmp_path / "new" / "profile.png"
     done = netem("show", "factory/011", "--plot", str(picture))
     assert done.returncode == 0, done.stderr
@@ -31,7 +30,7 @@ def test_a_profile_is_shown_and_drawn(tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_statistics_of_a_folder_are_those_of_its_files_together(tmp_path):
+def test_statistics_of_a_folder_are_those_of_its_files_together(netem, tmp_path):
     for name, delay in (("a", 1.0), ("b", 3.0)):
         (tmp_path / f"{name}.csv").write_text(f"uplink_ms,downlink_ms\n{delay},{delay}\n")
     done = netem("stats", "--json", str(tmp_path))
@@ -43,7 +42,7 @@ def test_statistics_of_a_folder_are_those_of_its_files_together(tmp_path):
     assert result["uplink"]["peak_median"] is None
 
 
-def test_statistics_explain_their_labels():
+def test_statistics_explain_their_labels(netem):
     done = netem("stats", "constant:10ms")
     assert done.returncode == 0, done.stderr
     for label in ("outage:", "peak:", "memory:", "lost:", "round trip:"):
@@ -63,14 +62,14 @@ def test_statistics_explain_their_labels():
         (("replay", "direct"), "direct means no shim"),
     ],
 )
-def test_a_mistake_is_one_line(arguments, expected):
+def test_a_mistake_is_one_line(netem, arguments, expected):
     done = netem(*arguments)
     assert done.returncode == 2
     assert expected in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_an_empty_folder_is_refused(tmp_path):
+def test_an_empty_folder_is_refused(netem, tmp_path):
     done = netem("stats", str(tmp_path))
     assert done.returncode == 2
     assert "found none" in done.stderr

@@ -14,10 +14,9 @@ from experiments.trial import write_run
 from shared.config.config_file import dump_config
 from shared.config.settings import RunConfig
 from shared.errors import UserError
-from shared.process.entry import python
 from shared.robots import Robot
 from shared.telemetry.parquet import write_parquet
-from tests.processes import played
+from tests.processes import Typed
 from tests.viewer.reading import entities, static
 from tests.viewer.synthetic import tick_rows
 from viewer.recording import save
@@ -80,9 +79,9 @@ def test_a_run_beside_itself_is_refused(runs: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("command", ["open", "compare", "snapshot"])
-def test_a_wrong_folder_is_refused_in_one_line(command: str, tmp_path: Path) -> None:
+def test_a_wrong_folder_is_refused_in_one_line(typed: Typed, command: str, tmp_path: Path) -> None:
     extra = ["--out", str(tmp_path / "x.png")] if command == "snapshot" else []
-    done = played(*python("-m", "viewer", command, str(tmp_path), *extra))
+    done = typed("viewer", command, str(tmp_path), *extra)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert "got one without config.toml and telemetry.parquet" in done.stderr
@@ -146,12 +145,10 @@ def test_an_mp4_has_every_picture_in_its_order(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", ["1600", "0x900", "99999x10", "x", "1600x-9"])
 def test_a_size_that_cannot_be_is_told_by_example(
-    runs: dict[str, Path], tmp_path: Path, size: str
+    typed: Typed, runs: dict[str, Path], tmp_path: Path, size: str
 ) -> None:
     out = str(tmp_path / "x.png")
-    done = played(
-        *python("-m", "viewer", "snapshot", str(runs["la"]), "--out", out, f"--size={size}")
-    )
+    done = typed("viewer", "snapshot", str(runs["la"]), "--out", out, f"--size={size}")
     assert done.returncode == 2
     assert f"expected WIDTHxHEIGHT in pixels, each 200 to 4096, as in 1600x960, got '{size}'" in (
         done.stderr

@@ -71,6 +71,9 @@ TABLE = """pub_time(ms) sub_time(ms) delay(ms) sinr(db)
 """
 QUOTED = '"t (s)";"delay (ms)"\n0,5;20,25\n0,6;"21,5"\n0,7;lost\n0,8;22\n'
 LOAD = ("--load", "1500B@1kHz")
+# For each case: places where the file is cut, files with damaged bytes (a quarter for each kind of
+# damage), and numbers that are replaced.
+N_CUTS, N_DAMAGED, N_REPLACED = 20, 16, 2
 DRAWN = ("--duration", "50ms")
 
 
@@ -149,7 +152,7 @@ def test_the_whole_file_is_a_profile(case, tmp_path):
 @pytest.mark.parametrize("case", CASES)
 def test_a_file_cut_anywhere_is_a_profile_or_an_error_of_one_line(case, tmp_path):
     content, rest = CASES[case]
-    ends = np.unique(np.linspace(0, len(content) - 1, 60).astype(int))
+    ends = np.unique(np.linspace(0, len(content) - 1, N_CUTS).astype(int))
     refused = [isinstance(outcome(tmp_path, content[:end], rest), str) for end in ends]
     assert refused[0]
 
@@ -157,11 +160,11 @@ def test_a_file_cut_anywhere_is_a_profile_or_an_error_of_one_line(case, tmp_path
 @pytest.mark.parametrize("case", CASES)
 def test_damaged_bytes_make_a_profile_or_an_error_of_one_line(case, tmp_path, rng):
     content, rest = CASES[case]
-    for _ in range(50):
+    for number in range(N_DAMAGED):
         damaged = bytearray(content)
         at, length = int(rng.integers(len(content))), int(rng.integers(1, 40))
         junk = rng.integers(0, 256, length, dtype=np.uint8).tobytes()
-        kind = rng.integers(4)
+        kind = number % 4
         if kind == 0:
             damaged[at : at + length] = junk
         elif kind == 1:
@@ -181,7 +184,7 @@ def test_a_number_that_is_none_makes_a_profile_or_an_error_of_one_line(case, jun
     content, rest = CASES[case]
     text = content.decode()
     numbers = list(re.finditer(r"[0-9][0-9.e+-]*", text))
-    for k in rng.permutation(len(numbers))[:5]:
+    for k in rng.permutation(len(numbers))[:N_REPLACED]:
         start, end = numbers[k].span()
         outcome(tmp_path, (text[:start] + junk + text[end:]).encode(), rest)
 
