@@ -63,7 +63,7 @@ def is_live(nodeid: str) -> bool:
     return nodeid.startswith("tests/live/")
 
 
-class OneLiveWorker(LoadFileScheduling):
+class OneLiveWorker(LoadFileScheduling):  # type: ignore[misc]
     """The tests of a file stay in one worker, and those of all live files too."""
 
     def _split_scope(self, nodeid: str) -> str:
