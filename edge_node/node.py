@@ -20,11 +20,12 @@ from shared.errors import ConfigError, MessageRefused
 from shared.robots import Robot
 from shared.telemetry.schema import SOLVE_SCHEMA
 from shared.wbc.answer import Projector, TimedProjector
+from shared.wbc.assisted import apply_projector
 from shared.wbc.contacts import ContactMode
 from shared.wbc.projector import WholeBodySolution
 from shared.wbc.qp import QpStatus
 from shared.wbc.reference import Motion, coming_switches
-from shared.wbc.torque import recover_torque
+from shared.wbc.stack import N_DYNAMICS
 from shared.wbc.whole_body import WholeBodyController
 from shared.wire.channels import DOWNLINK
 from shared.wire.codec import Codec
@@ -159,15 +160,21 @@ class EdgeNode:
             return Answer(robot, state.sequence, solution, None)
         # Rounded first, so that the torque sent is the one that the projector sent gives.
         projector = self._codec.rounded(solution.projector)
-        y = projector.apply(b)
-        contacts = controller.stacks[state.mode].contacts
+        assisted = apply_projector(
+            controller.stacks[state.mode],
+            projector,
+            b,
+            model=controller.model,
+            q=state.q,
+            v=state.v,
+        )
         message = ProjectorMessage(
             session=state.session,
             sequence=state.sequence,
             stamp_ns=state.stamp_ns,
             mode=state.mode,
-            tau=recover_torque(controller.model, contacts, state.q, state.v, y),
-            y=y,
+            tau=assisted.force[N_DYNAMICS:].copy(),
+            y=assisted.y,
             projectors=(
                 controller.timed(projector, from_ns=state.time_ns),
                 *self._prepared(state, projector),
@@ -213,8 +220,8 @@ class EdgeNode:
         config = self._config.switch
         if not config.prepare_on_edge:
             return ()
+        room = DOWNLINK.max_bytes - _MESSAGE_BYTES - 4 * projector.size
         if self._stepper is not None:
-            room = DOWNLINK.max_bytes - _MESSAGE_BYTES - 4 * projector.A_dagger.size
             return self._prepared_for_steps(state, self._stepper, room=room)
         prepared = [
             self._controller.projector_for(
@@ -223,7 +230,13 @@ class EdgeNode:
             for switch_ns in coming_switches(self._motion, state.time_ns)
             if switch_ns - state.time_ns <= config.prepare_ns
         ]
-        return tuple(timed for timed in prepared if timed is not None)
+        fitting = []
+        for timed in prepared:
+            # Of a robot with limits, three may be too long.
+            if timed is not None and 4 * timed.projector.size <= room:
+                room -= 4 * timed.projector.size
+                fitting.append(timed)
+        return tuple(fitting)
 
     def _prepared_for_steps(
         self, state: RobotState, stepper: StepPlanning, *, room: int
@@ -252,6 +265,6 @@ class EdgeNode:
             reference=reference,
         )
         projector = solution.projector
-        if projector is None or 4 * projector.A_dagger.size > room:
+        if projector is None or 4 * projector.size > room:
             return ()
         return (controller.timed(projector, from_ns=state.time_ns),)

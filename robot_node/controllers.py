@@ -23,12 +23,12 @@ from shared.config.settings import RunConfig
 from shared.extensions import Taken
 from shared.robots import Foot
 from shared.telemetry.schema import Source
+from shared.wbc.assisted import apply_projector
 from shared.wbc.balance import BalanceLaw
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference
 from shared.wbc.stack import N_DYNAMICS, Stack
-from shared.wbc.torque import recover_force
 from shared.wire.codec import Codec
 
 
@@ -172,7 +172,7 @@ class PurelyRemote(Controller):
         if self.balance is not None:
             contacts = self._stacks[entry.projector.mode].contacts
             self._wrenches = contacts.wrenches(entry.y[self._model.nv :])
-        return _decision(entry, entry.tau, entry.y)
+        return _decision(entry, entry.tau, entry.y, entry.projector.active_set)
 
 
 class LocallyAssisted(Controller):
@@ -210,15 +210,17 @@ class LocallyAssisted(Controller):
     def command(self, *, time_ns: int) -> Decision | None:
         model, stack = self._model, self._stack
         while (entry := self.cache.lookup(stack.mode, time_ns=time_ns)) is not None:
-            y = entry.projector.apply(self._b)
-            force = recover_force(model, stack.contacts, self._q, self._v, y)
+            assisted = apply_projector(
+                stack, entry.projector, self._b, model=model, q=self._q, v=self._v
+            )
+            y, force = assisted.y, assisted.force
             tau = force[N_DYNAMICS:].copy()
             if entry.proven or self._verifier.is_plausible(force) or self._is_exact(entry):
                 # From now on it may grow stale, which is no fault of the edge.
                 entry.proven = True
                 if self.balance is not None:
                     self._wrenches = stack.contacts.wrenches(y[model.nv :])
-                return _decision(entry, tau, y)
+                return _decision(entry, tau, y, assisted.active_set)
             self.cache.reject(entry)
         return None
 
@@ -227,13 +229,12 @@ class LocallyAssisted(Controller):
         return state is not None and self._verifier.is_exact(entry.projector, *state)
 
 
-def _decision(entry: CacheEntry, tau: np.ndarray, y: np.ndarray) -> Decision:
-    projector = entry.projector
+def _decision(entry: CacheEntry, tau: np.ndarray, y: np.ndarray, active_set: int) -> Decision:
     return Decision(
         tau,
         y,
-        projector.mode,
-        projector.active_set,
+        entry.projector.mode,
+        active_set,
         Source.ON_BOARD if entry.on_board else Source.CACHED,
         entry.sequence,
         entry.stamp_ns,

@@ -16,6 +16,7 @@ from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
 from shared.robots import Robot
 from shared.wbc.answer import Factorisation, Projector
+from shared.wbc.assisted import apply_projector
 from shared.wbc.contacts import ContactMode
 from shared.wbc.finite import all_finite
 from shared.wbc.model import Jacobians, WholeBodyModel
@@ -122,7 +123,7 @@ class ProjectorVerifier:
         stack, model = self._stacks[projector.mode], self._model
         b = stack.right_hand_side(model.kinematics(q, v), self._reference)
         with np.errstate(over="ignore", invalid="ignore"):
-            y = projector.apply(b)
+            y = apply_projector(stack, projector, b, model=model, q=q, v=v).y
             if not all_finite(y):
                 return False
             left = stack.right_hand_side(

@@ -5,7 +5,7 @@ The robot applies them. It needs neither a solver nor LAPACK for that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,35 +18,49 @@ def no_rows() -> np.ndarray:
 
 
 @dataclass(frozen=True, slots=True)
-class Projector:
-    """A† of one optimal active set. `A_dagger` (n, n_rows + k); `active` row indices of C.
+class Openness:
+    """The inequality rows of a projector that has decided on none of them.
 
-    `limits` (k,) are the active limits by their entry of b after the layout's rows. Their columns
-    are the last ones.
+    `limits` (k,) are limits of the robot that are active or near, by their entry of b after the
+    layout's rows. With u (k + n_f,) of unit weight the solution is A† b + `push` u, `push` (n, k +
+    n_f). The limits are moved inwards by `factor` u[:k], `factor` (k, k) lower triangular, and the
+    forces by the rows of `push` that are theirs. `shared/wbc/assisted.py` finds u.
+    """
+
+    limits: np.ndarray
+    push: np.ndarray
+    factor: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Projector:
+    """A† of one optimal active set. `A_dagger` (n, n_rows); `active` row indices of C.
+
+    With the robot's own limits A† is that of the equalities alone, and `open` has the rows that the
+    robot decides on.
     """
 
     mode: ContactMode
     A_dagger: np.ndarray
     active: np.ndarray
-    limits: np.ndarray = field(default_factory=no_rows)
+    open: Openness | None = None
 
     @property
     def active_set(self) -> int:
         """`active` as a bit mask, see `ContactMode.active_set`."""
         return self.mode.active_set(self.active)
 
-    def apply(self, b: np.ndarray) -> np.ndarray:
-        """y = A† b, Eq. (4); shape (n,): accelerations, then contact forces."""
-        y: np.ndarray = self.A_dagger.dot(self.entries_of(b))
-        return y
+    @property
+    def size(self) -> int:
+        """The number of its numbers."""
+        opened = self.open
+        return self.A_dagger.size + (opened.push.size + opened.factor.size if opened else 0)
 
-    def entries_of(self, b: np.ndarray) -> np.ndarray:
-        """The entries of b that have a column: the layout's rows, then the active limits."""
-        k = len(self.limits)
-        n_rows = self.A_dagger.shape[1] - k
-        if len(b) > n_rows:
-            b = np.concatenate([b[:n_rows], b[n_rows + self.limits]]) if k else b[:n_rows]
-        return b
+    def apply(self, b: np.ndarray) -> np.ndarray:
+        """y = A† b, Eq. (4), shape (n,): accelerations, then contact forces."""
+        n_rows = self.A_dagger.shape[1]
+        y: np.ndarray = self.A_dagger.dot(b[:n_rows] if len(b) > n_rows else b)
+        return y
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,10 @@ _TORQUE_PRICE, _JOINT_PRICE = 1e5, 1e2
 # λ [1/s], and the largest acceleration that a bound asks for [rad/s²].
 _RATE, _HARDEST = 20.0, 100.0
 _UNLIMITED = 1e9
+# A quantity so far from its bound counts as near, [1] and [rad/s²]. A projector leaves at most so
+# many limits open: near ones, and active ones. A message has room for two such projectors.
+_TORQUE_NEAR, _JOINT_NEAR = 0.5, 50.0
+_MOST_NEAR, MOST_OPEN = 8, 40
 
 
 class Limits:
@@ -42,6 +46,7 @@ class Limits:
         self.clamp = torque_clamp * robot.effort_limit
         self.torque_scale = 1.0 / (config.torque_fraction * self.clamp)
         self.slack = np.repeat([1.0 / _TORQUE_PRICE, 1.0 / _JOINT_PRICE], n)
+        self._near = np.tile(np.repeat([_TORQUE_NEAR, _JOINT_NEAR], n), 2)
         self._config = config
         # Lower and upper bounds, torques then joints.
         self._lower, self._upper = np.full(2 * n, -_UNLIMITED), np.full(2 * n, _UNLIMITED)
@@ -82,6 +87,32 @@ class Limits:
         n_x = len(self._x)
         np.subtract(self._lower, self._x, rows[:n_x])
         np.subtract(self._x, self._upper, rows[n_x:])
+
+    def misses(self, of_b: np.ndarray, force: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """The misses (2 n_x,) at a solution, from the entries of b at the same state.
+
+        `force` (nv,) is the generalised force of the solution, `a` (nv,) are its accelerations.
+        """
+        n = len(self.clamp)
+        torques, accelerations = force[6:] * self.torque_scale, a[6:]
+        misses = of_b.copy()
+        np.subtract(self._lower[:n], torques, misses[:n])
+        misses[n : 2 * n] -= accelerations
+        np.subtract(torques, self._upper[:n], misses[2 * n : 3 * n])
+        misses[3 * n :] += accelerations
+        return misses
+
+    def near(self, misses: np.ndarray, active: np.ndarray) -> np.ndarray:
+        """The active limits and the nearest of the others, which a late robot may meet next.
+
+        `misses` (2 n_x,) are those of the optimum.
+        """
+        distance = misses / self._near
+        distance[active] = np.inf
+        most = min(max(_MOST_NEAR, len(active)), MOST_OPEN)
+        closest = np.argsort(-distance, kind="stable")[:most]
+        near: np.ndarray = np.sort(closest[distance[closest] > -1.0])
+        return near
 
     def _bound_joints(self, positions: np.ndarray, rates: np.ndarray) -> None:
         lower, upper = self._lowest_acceleration, self._highest_acceleration

@@ -10,7 +10,8 @@ is the only matrix to factorise. The active set is that of the last state, if it
 optimal. Otherwise a solver finds it, in f alone (n_f = 24 or 12). Exact: no term is dropped.
 
 An active limit of the robot is a row of the same kind. It may be missed at a price, which adds 1/ω
-to its diagonal entry of S. Only the limits that a solution would break enter the solver's QP.
+to its diagonal entry of S. Only the limits that a solution would break enter the solver's QP. A
+robot with limits gets a projector that leaves all inequality rows open, for it to decide on.
 `docs/maths.md` derives it.
 """
 
@@ -21,7 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri, dtrtrs
 
-from shared.wbc.answer import Projector, no_rows
+from shared.wbc.answer import Openness, Projector, no_rows
+from shared.wbc.contacts import ContactMode
 from shared.wbc.least_norm import LeastNorm
 from shared.wbc.qp import QpSolver, QpStatus, QuadraticProgram
 from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
@@ -95,16 +97,39 @@ def _condense_limited(
 
 @dataclass(frozen=True, slots=True)
 class HeldRows:
-    """The optimum with some rows of C held at equality, for any b.
+    """The optimum with some rows of C and some limits held at equality, for any b.
 
-    The multipliers of these rows and of the active limits are λ = `multipliers` b, (k, n_rows + …).
-    `factor` (k, k) is their block of the Cholesky factor of S. `D` as in `LeastNorm`.
+    y is `A_dagger` (n, n_rows + k_x) times the entries of b that have a column: the layout's rows,
+    then the active `limits` (k_x,). The multipliers of the rows of C, `active`, and of the limits
+    are λ = `multipliers` (k, n_rows + k_x) times the same entries. `factor` (k, k) is their block
+    of the Cholesky factor of S. `D` as in `LeastNorm`.
     """
 
-    projector: Projector
+    mode: ContactMode
+    A_dagger: np.ndarray
+    active: np.ndarray
+    limits: np.ndarray
     multipliers: np.ndarray
     factor: np.ndarray
     D: np.ndarray
+
+    @property
+    def projector(self) -> Projector:
+        """The projector of the held rows, for a robot without limits."""
+        return Projector(self.mode, self.A_dagger, self.active)
+
+    def apply(self, b: np.ndarray) -> np.ndarray:
+        """The optimum y (n,) with these rows held."""
+        y: np.ndarray = self.A_dagger.dot(self.entries_of(b))
+        return y
+
+    def entries_of(self, b: np.ndarray) -> np.ndarray:
+        """The entries of b that have a column."""
+        k = len(self.limits)
+        n_rows = self.A_dagger.shape[1] - k
+        if len(b) > n_rows:
+            b = np.concatenate([b[:n_rows], b[n_rows + self.limits]]) if k else b[:n_rows]
+        return b
 
 
 def hold(
@@ -128,16 +153,52 @@ def hold(
         S.flat[(n - k) * (n + 1) :: n + 1] += stack.slack[limits % len(problem.D)]
     factor = _cholesky(S)
     multipliers, _ = dpotrs(factor, rows[:, form.b.start :], lower=1)
-    z = B.T @ multipliers
-    n_a, n, n_rows = stack.layout.n_accelerations, stack.layout.n_unknowns, z.shape[1]
+    A_dagger = _y_from(stack, problem, B.T @ multipliers)
+    mode, of_rows = stack.mode, factor[m:, m:]
+    return HeldRows(mode, A_dagger, active, limits, multipliers[m:], of_rows, problem.D)
+
+
+def leave_open(
+    stack: Stack, problem: LeastNorm, active: np.ndarray, limits: np.ndarray
+) -> Projector:
+    """A† of the equalities alone, and the push of the given limits and of each contact force.
+
+    `active` are the rows of C that are active at the optimum. Raises as `condense` does.
+    """
+    form, m, n_f, k = stack.least_norm_form, len(problem.rows), stack.contacts.n_forces, len(limits)
+    n_rows, n_x = stack.layout.n_rows, len(problem.D)
+    B = np.zeros((m + k + n_f, form.z.stop))
+    B[:m] = problem.rows[:, form.z]
+    signs = np.where(limits < n_x, 1.0, -1.0)[:, np.newaxis]
+    B[m : m + k] = signs * problem.limit_rows(form, limits % n_x)[:, form.z]
+    B[m + k :, form.f] = form.force_scale * np.eye(n_f)
+    S = B @ B.T
+    n = len(S)
+    S.flat[m * (n + 1) : (m + k) * (n + 1) : n + 1] += stack.slack[limits % n_x]
+    # What b, and the pushes, ask of the equalities.
+    asked = np.concatenate([problem.rows[:, form.b], -S[:m, m:]], axis=1)
+    factor = _cholesky(S)
+    multipliers, _ = dpotrs(factor[:m, :m], asked, lower=1)
+    z = B[:m].T @ multipliers
+    z[:, n_rows:] += B[m:].T
+    y = _y_from(stack, problem, z)
+    # What is left of S once the equalities have taken their part is L Lᵀ. u = Lᵀ λ has unit weight.
+    of_pushes = factor[m:, m:]
+    push, _ = dtrtrs(of_pushes, y[:, n_rows:].T, lower=1)
+    opened = Openness(limits, np.ascontiguousarray(push.T), of_pushes[:k, :k])
+    return Projector(stack.mode, np.ascontiguousarray(y[:, :n_rows]), active, opened)
+
+
+def _y_from(stack: Stack, problem: LeastNorm, z: np.ndarray) -> np.ndarray:
+    """The rows of y from those of z, whose columns are of b first. Overwrites z."""
+    n_a, n, n_columns = stack.layout.n_accelerations, stack.layout.n_unknowns, z.shape[1]
     # s₁ + ρ₁: a 1 for each determining row.
     first = stack.equality_rows.stop
-    z.reshape(-1)[first : first + n_a * (n_rows + 1) : n_rows + 1] += 1.0
-    A_dagger = z[:n]
-    A_dagger[:n_a] = problem.T @ A_dagger[:n_a]
-    A_dagger[n_a:] *= form.force_scale
-    projector = Projector(stack.mode, A_dagger, active, limits)
-    return HeldRows(projector, multipliers[m:], factor[m:, m:], problem.D)
+    z.reshape(-1)[first : first + n_a * (n_columns + 1) : n_columns + 1] += 1.0
+    y = z[:n]
+    y[:n_a] = problem.T @ y[:n_a]
+    y[n_a:] *= stack.least_norm_form.force_scale
+    return y
 
 
 def _with_limits(
@@ -156,18 +217,17 @@ def _with_limits(
 def is_optimal(stack: Stack, held: HeldRows, b: np.ndarray) -> bool:
     """Return whether, by a clear margin, no free row is violated and no held one pulls."""
     contacts, k = stack.contacts, len(held.factor)
-    projector = held.projector
-    y = projector.apply(b)
+    y = held.apply(b)
     f = y[stack.layout.n_accelerations :]
     free = int(np.count_nonzero(contacts.C @ f - contacts.l > _CLEARLY))
     within = _misses(held.D, y, b[stack.layout.n_rows :]) < -_CLEARLY
-    free += int(np.count_nonzero(within)) - int(np.count_nonzero(within[projector.limits]))
+    free += int(np.count_nonzero(within)) - int(np.count_nonzero(within[held.limits]))
     n_inequalities = len(contacts.l) + len(within)
     if free + k < n_inequalities or k == 0:
         return free == n_inequalities
     inverse, _ = dtrtri(held.factor, lower=1)
     # The violation of each row if it alone were released: λᵢ over (S⁻¹)ᵢᵢ.
-    released = held.multipliers @ projector.entries_of(b) / np.square(inverse).sum(axis=0)
+    released = held.multipliers @ held.entries_of(b) / np.square(inverse).sum(axis=0)
     return bool((released > _CLEARLY).all())
 
 
@@ -184,12 +244,13 @@ def _misses(D: np.ndarray, y: np.ndarray, of_b: np.ndarray) -> np.ndarray:
 class WholeBodySolution:
     """Outcome of a full solve; `projector` is None unless `status` is SOLVED.
 
-    `iterations` of the solver, 0 if it was not needed.
+    `iterations` of the solver, 0 if it was not needed. `held` are the rows of the optimum.
     """
 
     status: QpStatus
     projector: Projector | None
     iterations: int
+    held: HeldRows | None = None
 
 
 def solve(
@@ -214,7 +275,7 @@ def solve(
         if likely_active is not None:
             held = hold(stack, problem, likely_active, likely_limits)
             if is_optimal(stack, held, b):
-                return WholeBodySolution(QpStatus.SOLVED, held.projector, 0)
+                return _solved(stack, problem, held, b, iterations=0)
         if likely_limits is not None and len(likely_limits):
             quantities = np.unique(likely_limits % len(problem.D))
         for _ in range(_MAX_ROUNDS):
@@ -222,16 +283,26 @@ def solve(
             iterations += solution.iterations
             if solution.status is not QpStatus.SOLVED:
                 return WholeBodySolution(solution.status, None, iterations)
-            projector = hold(
-                stack, problem, *_active_sets(stack, problem, solution.active, quantities)
-            ).projector
-            beyond = _quantities_beyond(stack, problem, projector, b)
+            held = hold(stack, problem, *_active_sets(stack, problem, solution.active, quantities))
+            beyond = _quantities_beyond(stack, held, b)
             if np.isin(beyond, quantities).all():
-                return WholeBodySolution(QpStatus.SOLVED, projector, iterations)
+                return _solved(stack, problem, held, b, iterations=iterations)
             quantities = np.union1d(quantities, beyond)
     except np.linalg.LinAlgError:
         return WholeBodySolution(QpStatus.NOT_FINITE, None, 0)
     return WholeBodySolution(QpStatus.ITERATION_LIMIT, None, iterations)
+
+
+def _solved(
+    stack: Stack, problem: LeastNorm, held: HeldRows, b: np.ndarray, *, iterations: int
+) -> WholeBodySolution:
+    """The optimum. With limits of the robot's own, its projector leaves all inequalities open."""
+    projector = held.projector
+    if stack.limits is not None:
+        misses = _misses(held.D, held.apply(b), b[stack.layout.n_rows :])
+        near = stack.limits.near(misses, held.limits)
+        projector = leave_open(stack, problem, held.active, near)
+    return WholeBodySolution(QpStatus.SOLVED, projector, iterations, held)
 
 
 def _active_sets(
@@ -246,11 +317,9 @@ def _active_sets(
     return active[active < first], limits
 
 
-def _quantities_beyond(
-    stack: Stack, problem: LeastNorm, projector: Projector, b: np.ndarray
-) -> np.ndarray:
-    """The limited quantities that are beyond a bound at the projector's solution."""
-    misses = _misses(problem.D, projector.apply(b), b[stack.layout.n_rows :])
+def _quantities_beyond(stack: Stack, held: HeldRows, b: np.ndarray) -> np.ndarray:
+    """The limited quantities that are beyond a bound at the optimum of the held rows."""
+    misses = _misses(held.D, held.apply(b), b[stack.layout.n_rows :])
     return np.flatnonzero((misses.reshape(2, -1) > _BEYOND).any(axis=0))
 
 

@@ -73,8 +73,8 @@ class WholeBodyController:
             likely_active=rows,
             likely_limits=limits,
         )
-        if solution.projector is not None:
-            self.last_active[mode] = (solution.projector.active, solution.projector.limits)
+        if solution.held is not None:
+            self.last_active[mode] = (solution.held.active, solution.held.limits)
         return solution, b
 
     def factorise(

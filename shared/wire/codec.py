@@ -24,7 +24,7 @@ from shared.config.settings import RunConfig
 from shared.errors import ConfigError, MessageRefused
 from shared.motion.footprint import Footprint
 from shared.robots import Foot, Robot
-from shared.wbc.answer import Factorisation, Projector, TimedProjector
+from shared.wbc.answer import Factorisation, Openness, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
 from shared.wbc.finite import all_finite
 from shared.wbc.limits import Limits
@@ -34,11 +34,9 @@ from shared.wire.channels import DOWNLINK, UPLINK
 from shared.wire.form import INTEGER, SMALL, Form, binary
 from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState, StepReport
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 _STATE, _PROJECTOR, _FACTORISATION = "state", "projector", "factorisation"
 _MAX_INT = 2**63 - 1
-# With more columns than this a message of double precision would exceed its channel.
-_MAX_DOUBLE_LIMITS = 16
 _SINGLE = np.dtype("<f4")
 _DOUBLE = np.dtype("<f8")
 _DTYPES: dict[str, np.dtype[Any]] = {"float64": _DOUBLE, "float32": _SINGLE}
@@ -98,12 +96,17 @@ class Codec:
         dtype = _DTYPES[self._dtype_of(projector)]
         if dtype == projector.A_dagger.dtype:
             return projector
-        A_dagger = projector.A_dagger.astype(dtype).astype(np.float64)
-        return dataclasses.replace(projector, A_dagger=A_dagger)
+        opened = projector.open
+        if opened is not None:
+            opened = Openness(
+                opened.limits, _rounded(opened.push, dtype), _rounded(opened.factor, dtype)
+            )
+        A_dagger = _rounded(projector.A_dagger, dtype)
+        return dataclasses.replace(projector, A_dagger=A_dagger, open=opened)
 
     def _dtype_of(self, projector: Projector) -> str:
-        """The number format of a projector: single precision if its limits make it too long."""
-        return self._dtype_name if len(projector.limits) <= _MAX_DOUBLE_LIMITS else "float32"
+        """The number format of a projector: with open rows it would be too long in double."""
+        return self._dtype_name if projector.open is None else "float32"
 
     def encode_state(self, state: RobotState) -> bytes:
         """Encode a `RobotState`, in at most `UPLINK.max_bytes`."""
@@ -148,7 +151,7 @@ class Codec:
 
     def encode_projector(self, message: ProjectorMessage) -> bytes:
         """Encode a `ProjectorMessage`. Raise `ConfigError` if it exceeds `DOWNLINK.max_bytes`."""
-        if len(message.projectors) == 1 and not len(message.projectors[0].projector.limits):
+        if len(message.projectors) == 1 and message.projectors[0].projector.open is None:
             return self._write_answer(message, message.projectors[0])
         return self.pack(
             _PROJECTOR,
@@ -323,7 +326,7 @@ class Codec:
     def _read_answer(self, data: bytes, judge: Judge) -> ProjectorMessage | None:
         """The answer in a message of its form, or None if it has another form or an error."""
         known = self._answer_forms_by_size.get(len(data))
-        if known is None:
+        if known is None or self._n_limits:  # a projector with open rows has no form
             return None
         shape, dtype_name, form = known
         values = form.read(data)
@@ -408,7 +411,7 @@ class Codec:
             "layout": self._layout_digests[projector.mode],
             "dtype": dtype,
             "active": projector.active.astype(np.uint8).tobytes(),
-            **({"limits": bytes(projector.limits.tolist())} if len(projector.limits) else {}),
+            **({} if projector.open is None else _open_fields(projector.open)),
             "A_dagger": projector.A_dagger.astype(_DTYPES[dtype]).tobytes(),
             "valid_from_ns": timed.valid_from_ns,
             "valid_until_ns": timed.valid_until_ns,
@@ -430,22 +433,27 @@ class Codec:
         rows = list(active)
         if not self._are_active_rows(rows, mode):
             raise MessageRefused("shape", "active")
-        limits = fields.get("limits", b"")
-        if not isinstance(limits, bytes) or not self._are_limits(list(limits)):
-            raise MessageRefused("shape", "limits")
-        n, n_rows = self._shapes[mode]
         return TimedProjector(
             projector=Projector(
                 mode=mode,
-                A_dagger=array_of(
-                    fields, "A_dagger", (n, n_rows + len(limits)), dtype=_DTYPES[dtype]
-                ),
+                A_dagger=array_of(fields, "A_dagger", self._shapes[mode], dtype=_DTYPES[dtype]),
                 active=np.array(rows, dtype=int),
-                limits=np.array(list(limits), dtype=int),
+                open=self._decode_open_rows(fields, layout) if self._n_limits else None,
             ),
             valid_from_ns=integer_of(fields, "valid_from_ns"),
             valid_until_ns=integer_of(fields, "valid_until_ns"),
         )
+
+    def _decode_open_rows(self, fields: dict[str, Any], layout: RowLayout) -> Openness:
+        limits = fields.get("limits")
+        if not isinstance(limits, bytes) or not self._are_limits(list(limits)):
+            raise MessageRefused("shape", "limits")
+        k = len(limits)
+        push = array_of(fields, "push", (layout.n_unknowns, k + layout.n_forces), dtype=_SINGLE)
+        triangle = array_of(fields, "factor", (k * (k + 1) // 2,), dtype=_SINGLE)
+        factor = np.zeros((k, k))
+        factor[np.tril_indices(k)] = triangle
+        return Openness(np.array(list(limits), dtype=int), push, factor)
 
     def pack(self, kind: str, max_bytes: int, **fields: Any) -> bytes:
         """Return a message of a kind; raise `ConfigError` if it is longer than its channel's."""
@@ -554,6 +562,19 @@ def integer_of(fields: dict[str, Any], name: str) -> int:
     if type(value) is not int or not -_MAX_INT <= value <= _MAX_INT:
         raise MessageRefused("shape", name)
     return value
+
+
+def _rounded(array: np.ndarray, dtype: np.dtype[Any]) -> np.ndarray:
+    rounded: np.ndarray = array.astype(dtype).astype(np.float64)
+    return rounded
+
+
+def _open_fields(opened: Openness) -> dict[str, bytes]:
+    return {
+        "limits": bytes(opened.limits.tolist()),
+        "push": opened.push.astype(_SINGLE).tobytes(),
+        "factor": _packed(opened.factor).astype(_SINGLE).tobytes(),
+    }
 
 
 def _packed(symmetric: np.ndarray) -> np.ndarray:

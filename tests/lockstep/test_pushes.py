@@ -54,6 +54,20 @@ def test_with_its_limits_lc_stands_a_diagonal_push_on_a_dead_link():
     assert result.summary["saturated_ticks"] == 0
 
 
+def test_limits_of_an_old_state_do_not_throw_the_joints_of_la():
+    """LA over 50 ms: joints on their limits at the edge's state, and others by now."""
+    settings = {
+        "push": ["80N@0.1s:0.2s:+y"],
+        "controller": "la",
+        "link.network": "constant:50ms",
+        "duration": 0.9,
+    }
+    result = play(**settings, **ITS_LIMITS)
+    assert not result.summary["fell"]
+    assert result.summary["saturated_ticks"] == 0
+    assert result.summary["joint_beyond_rad"] < 0.0
+
+
 @pytest.mark.parametrize("kind", ["mujoco", "rigid"])
 def test_the_measured_forces_carry_the_robot(kind, robot):
     result = play(

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from shared.config.settings import LimitsConfig
+from shared.wbc.assisted import apply_projector
 from shared.wbc.correction import Corrector, Iterate
 from shared.wbc.limits import Limits
-from shared.wbc.projector import full_problem, hold, solve
+from shared.wbc.projector import full_problem, solve
 from shared.wbc.qp import DaqpSolver, ProxsuiteSolver, QpStatus
 from shared.wbc.stack import Stack
 from shared.wbc.torque import recover_torque
@@ -44,6 +45,11 @@ def wild_states(robot):
 def rows(bench, state):
     b = bench.stack.right_hand_side(bench.model.kinematics(*state), bench.reference)
     return bench.matrices(state.q), b
+
+
+def assisted(bench, projector, b, state):
+    """The solution of a projector that the robot would use at a state, and its active set."""
+    return apply_projector(bench.stack, projector, b, model=bench.model, q=state.q, v=state.v)
 
 
 def split(bench, x):
@@ -81,14 +87,14 @@ def test_a_projector_with_active_limits_reproduces_the_full_qp(limited, wild_sta
         assert expected.status is QpStatus.SOLVED
         solution = solve(limited.stack, matrices, b, solver=solver())
         assert solution.status is QpStatus.SOLVED
-        projector = solution.projector
+        held = solution.held
         y, _ = split(limited, expected.x)
-        assert relative(projector.apply(b) - y, y) < TOLERANCE
+        assert relative(held.apply(b) - y, y) < TOLERANCE
         first = len(limited.stack.contacts.l)
-        both = np.concatenate([projector.active, first + projector.limits])
+        both = np.concatenate([held.active, first + held.limits])
         np.testing.assert_array_equal(both, expected.active)
         assert are_independent(problem, both)
-        active.append(len(projector.limits))
+        active.append(len(held.limits))
     # The states exercise no limit and many.
     assert min(active) == 0
     assert max(active) >= 8
@@ -103,22 +109,23 @@ def test_the_active_set_of_the_last_state_saves_the_solver_and_changes_no_bit(li
 
     for state in wild_states:
         matrices, b = rows(limited, state)
-        projector = solve(limited.stack, matrices, b, solver=DaqpSolver()).projector
+        found = solve(limited.stack, matrices, b, solver=DaqpSolver())
         again = solve(
             limited.stack,
             matrices,
             b,
             solver=NoSolver(),
-            likely_active=projector.active,
-            likely_limits=projector.limits,
+            likely_active=found.held.active,
+            likely_limits=found.held.limits,
         )
-        np.testing.assert_array_equal(again.projector.A_dagger, projector.A_dagger)
+        np.testing.assert_array_equal(again.held.A_dagger, found.held.A_dagger)
+        np.testing.assert_array_equal(again.projector.open.push, found.projector.open.push)
 
 
 def test_a_wrong_set_of_limits_is_not_believed(limited, wild_states):
     for state in wild_states[:4]:
         matrices, b = rows(limited, state)
-        right = solve(limited.stack, matrices, b, solver=DaqpSolver()).projector
+        right = solve(limited.stack, matrices, b, solver=DaqpSolver()).held
         wrong = np.setxor1d(right.limits, [3, 70])
         found = solve(
             limited.stack,
@@ -128,30 +135,70 @@ def test_a_wrong_set_of_limits_is_not_believed(limited, wild_states):
             likely_active=right.active,
             likely_limits=wrong,
         )
-        np.testing.assert_array_equal(found.projector.A_dagger, right.A_dagger)
+        np.testing.assert_array_equal(found.held.A_dagger, right.A_dagger)
 
 
-def test_a_stale_projector_keeps_its_limits_with_a_fresh_b(limited, wild_states):
-    """LA: with another velocity, the active limits hold with the bounds of that velocity."""
-    stack, kept = limited.stack, 0
-    n_rows = stack.layout.n_rows
+def test_the_robot_finds_the_optimum_from_a_projector_that_leaves_all_open(limited, wild_states):
+    """LA on the projector's own state is the full QP, with the friction rows and limits active."""
+    active = 0
     for state in wild_states:
         matrices, b = rows(limited, state)
-        projector = solve(stack, matrices, b, solver=DaqpSolver()).projector
-        k = len(projector.limits)
-        if not k:
-            continue
+        solution = solve(limited.stack, matrices, b, solver=DaqpSolver())
+        expected = solution.held.apply(b)
+        found = assisted(limited, solution.projector, b, state)
+        assert relative(found.y - expected, expected) < 1e-7
+        assert found.active_set == solution.projector.active_set
+        np.testing.assert_array_equal(
+            found.force[6:],
+            recover_torque(limited.model, limited.stack.contacts, state.q, state.v, found.y),
+        )
+        active += len(solution.held.limits) > 0
+    assert active >= 6
+
+
+def test_a_joint_that_has_left_its_limit_is_not_thrown_back_to_it(robot, config, model, reference):
+    """LA: a limit of the projector's state acts only if the present state needs it."""
+    elbow = robot.model.getJointId("LElbowRoll") - 2
+    highest = robot.position_limit[1, elbow] - 0.08
+    posture = reference.posture.copy()
+    posture[elbow] = highest
+    reference = dataclasses.replace(reference, posture=posture)
+    kinds = LimitsConfig(position=True)
+    bench = Bench(limited_stack(robot, config, MODES[0], kinds=kinds), model, reference)
+    q, v = robot.q_standing.copy(), np.zeros(37)
+    q[7 + elbow], v[6 + elbow] = highest, 2.0  # towards the limit, which asks for -80 rad/s²
+    matrices, b = rows(bench, State(q, v))
+    solution = solve(bench.stack, matrices, b, solver=DaqpSolver())
+    assert solution.held.limits.tolist() == [62 + 31 + elbow]
+    # Back from the limit and at rest. Held at its bound the joint would go there at 80 rad/s².
+    later = q.copy()
+    later[7 + elbow] = highest - 0.2
+    state = State(later, np.zeros(37))
+    _, b = rows(bench, state)
+    y = assisted(bench, solution.projector, b, state).y
+    free = Bench(Stack(robot, config.wbc, MODES[0]), model, reference).optimum(state).x
+    assert y[6 + elbow] == pytest.approx(free[6 + elbow], abs=0.1)
+    assert free[6 + elbow] < 40.0
+
+
+def test_with_another_velocity_a_projector_gives_the_optimum_of_that_velocity(limited, wild_states):
+    """LA: friction rows and limits that have become active act, those that no longer are do not."""
+    stack, changed = limited.stack, 0
+    for state in wild_states:
+        matrices, b = rows(limited, state)
+        old = solve(stack, matrices, b, solver=DaqpSolver())
         later = State(state.q, 1.05 * state.v)
         _, b = rows(limited, later)
-        _, residual = limited.linearised(later, projector.apply(b))
-        held = hold(stack, stack.least_norm(matrices), projector.active, projector.limits)
-        multipliers = held.multipliers[-k:] @ np.append(b[:n_rows], b[n_rows + projector.limits])
-        # All that a row misses it pays for: s = λ/ω.
-        slack = stack.slack[projector.limits % 62] * multipliers
-        misses = residual[n_rows + projector.limits]
-        np.testing.assert_allclose(misses, slack, atol=1e-6 * np.abs(b).max())
-        kept += 1
-    assert kept >= 6
+        fresh = solve(stack, matrices, b, solver=DaqpSolver()).held
+        if not np.isin(fresh.limits, old.projector.open.limits).all():
+            continue
+        expected = fresh.apply(b)
+        found = assisted(limited, old.projector, b, later)
+        assert relative(found.y - expected, expected) < 1e-7
+        held = old.held
+        same = np.array_equal(fresh.limits, held.limits)
+        changed += not (same and np.array_equal(fresh.active, held.active))
+    assert changed >= 2
 
 
 def test_an_impossible_limit_softens_before_dynamics_contacts_and_friction(
@@ -163,7 +210,7 @@ def test_an_impossible_limit_softens_before_dynamics_contacts_and_friction(
     matrices, b = rows(bench, state)
     solution = solve(bench.stack, matrices, b, solver=DaqpSolver())
     assert solution.status is QpStatus.SOLVED
-    y = solution.projector.apply(b)
+    y = solution.held.apply(b)
     _, residual = bench.linearised(state, y)
     scale = np.abs(y).max()
     assert np.abs(residual[bench.stack.equality_rows]).max() < 1e-6 * scale
@@ -181,7 +228,7 @@ def test_a_joint_far_beyond_its_range_does_not_ask_for_more_than_its_motor_has(
     q[7 + elbow] = robot.position_limit[1, elbow] + 2.0
     state = State(q, np.zeros(37))
     matrices, b = rows(bench, state)
-    y = solve(bench.stack, matrices, b, solver=DaqpSolver()).projector.apply(b)
+    y = solve(bench.stack, matrices, b, solver=DaqpSolver()).held.apply(b)
     _, residual = bench.linearised(state, y)
     misses, n_x = residual[bench.stack.layout.n_rows :], 62
     # λ² of the way back would be 800 rad/s². The posture asks for more than the bound's 100 rad/s².

@@ -1,4 +1,4 @@
-"""Projectors with active limits of the robot, and the command of its balance law, on the wire."""
+"""Projectors with open rows, and the command of the balance law, on the wire."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from shared.errors import MessageRefused
-from shared.wbc.answer import TimedProjector
+from shared.wbc.answer import Openness, TimedProjector
+from shared.wbc.limits import MOST_OPEN
 from shared.wire.channels import DOWNLINK
 from shared.wire.codec import Codec
 from tests.messages import altered, make_answer, make_state
@@ -25,28 +26,65 @@ def balancing(robot, configured, motion):
 
 
 def answer_with(stack, rng, limits):
-    """A double-support answer whose projector has columns of active limits."""
-    answer = make_answer(stack, rng)
-    projector = answer.projectors[0].projector
-    columns = rng.standard_normal((stack.layout.n_unknowns, len(limits)))
-    limited = dataclasses.replace(
-        projector,
-        A_dagger=np.hstack([projector.A_dagger, columns]),
-        limits=np.array(limits, dtype=int),
+    """A double-support answer whose projector leaves its inequality rows open."""
+    answer, k = make_answer(stack, rng), len(limits)
+    opened = Openness(
+        np.array(limits, dtype=int),
+        rng.standard_normal((stack.layout.n_unknowns, k + stack.layout.n_forces)),
+        np.tril(rng.standard_normal((k, k))),
     )
-    return dataclasses.replace(answer, projectors=(TimedProjector(limited, 0, 1),)), limited
+    projector = dataclasses.replace(answer.projectors[0].projector, open=opened)
+    return dataclasses.replace(answer, projectors=(TimedProjector(projector, 0, 1),)), projector
 
 
-@pytest.mark.parametrize(("limits", "exact"), [([0, 17, 123], True), (list(range(40)), False)])
-def test_active_limits_arrive_with_their_columns(limited, stacks, rng, limits, exact):
-    """Many are sent in single precision: a message of 40 kB holds no more."""
+@pytest.mark.parametrize("limits", [[], [0, 17, 123], list(range(MOST_OPEN))])
+def test_open_rows_arrive_in_single_precision(limited, stacks, rng, limits):
     answer, sent = answer_with(stacks[0], rng, limits)
     data = limited.encode_projector(answer)
     assert len(data) <= DOWNLINK.max_bytes
     received = limited.decode_projector(data).projectors[0].projector
-    np.testing.assert_array_equal(received.limits, limits)
-    np.testing.assert_array_equal(received.A_dagger, limited.rounded(sent).A_dagger)
-    assert np.array_equal(received.A_dagger, sent.A_dagger) is exact
+    rounded = limited.rounded(sent)
+    np.testing.assert_array_equal(received.open.limits, limits)
+    for name in ("push", "factor"):
+        arrived, expected = getattr(received.open, name), getattr(rounded.open, name)
+        np.testing.assert_array_equal(arrived, expected)
+        np.testing.assert_allclose(arrived, getattr(sent.open, name), rtol=1e-7)
+    np.testing.assert_array_equal(received.A_dagger, rounded.A_dagger)
+
+
+@pytest.mark.parametrize("with_open_rows", [True, False])
+def test_both_ends_know_whether_rows_are_open(
+    limited, robot, config, motion, stacks, rng, with_open_rows
+):
+    """The digest of the settings differs already; the rows are checked all the same."""
+    answer, _ = answer_with(stacks[0], rng, [3])
+    data = limited.encode_projector(answer)
+    if with_open_rows:
+        reason = "config"
+        receiver = Codec(robot, config, motion)
+    else:
+        reason = "shape"
+        receiver = limited
+        closed = dataclasses.replace(answer.projectors[0].projector, open=None)
+        data = limited.encode_projector(
+            dataclasses.replace(answer, projectors=(TimedProjector(closed, 0, 1),))
+        )
+    with pytest.raises(MessageRefused) as refused:
+        receiver.decode_projector(data)
+    assert refused.value.reason == reason
+
+
+@pytest.mark.parametrize("name", ["push", "factor"])
+@pytest.mark.parametrize("numbers", [b"", np.array([np.nan], np.float32).tobytes(), 7, None])
+def test_other_open_rows_are_refused(limited, stacks, rng, name, numbers):
+    answer, _ = answer_with(stacks[0], rng, [5])
+    data = altered(
+        limited.encode_projector(answer),
+        lambda fields: fields["projectors"][0].update({name: numbers}),
+    )
+    with pytest.raises(MessageRefused) as refused:
+        limited.decode_projector(data)
+    assert refused.value.reason in ("shape", "not_finite")
 
 
 @pytest.mark.parametrize("limits", [bytes([3, 3, 5]), bytes([5, 3, 4]), bytes([3, 5, 124]), 7])

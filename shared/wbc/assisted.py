@@ -1,0 +1,85 @@
+"""LA: the solution of a projector for the b of a tick.
+
+For a robot without limits of its own it is y = A† b, Eq. (4). With limits the projector has decided
+on no inequality row, because a stale decision does harm: a joint that has left its bound would be
+thrown back to it, and an unloading foot pulls. The robot then decides,
+
+    y = A† b + push u,   min ½ ‖u‖²   s.t.   C f ≥ l,   and each limit within its bound.
+
+Forces and limited quantities of A† b are exact: torques and bounds are those of the present state.
+`push` is stale. On the projector's own state y is the optimum of the full QP.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+
+from shared.wbc.answer import Openness, Projector
+from shared.wbc.model import Live, WholeBodyModel
+from shared.wbc.stack import Stack
+from shared.wbc.torque import recover_force
+
+_NO_BOUND = 1e30
+
+
+@dataclass(slots=True)
+class Assisted:
+    """A solution `y` (n,), its generalised force (nv,), see `recover_force`, and its active set."""
+
+    y: np.ndarray
+    force: Live
+    active_set: int
+
+
+def apply_projector(
+    stack: Stack,
+    projector: Projector,
+    b: np.ndarray,
+    *,
+    model: WholeBodyModel,
+    q: np.ndarray,
+    v: np.ndarray,
+) -> Assisted:
+    """The solution for b, which is that of (q, v). `stack` is that of the projector's mode."""
+    y = projector.apply(b)
+    force = recover_force(model, stack.contacts, q, v, y)
+    limits, opened = stack.limits, projector.open
+    if limits is None or opened is None:
+        return Assisted(y, force, projector.active_set)
+    n_a = stack.layout.n_accelerations
+    misses = limits.misses(b[stack.layout.n_rows :], force, y[:n_a])[opened.limits]
+    lacks = stack.contacts.l - stack.contacts.C.dot(y[n_a:])
+    if max(lacks.max(), misses.max(initial=0.0)) <= 0.0:
+        return Assisted(y, force, 0)
+    decided = _decide(stack, opened, misses, lacks)
+    if decided is None:  # the clamp has the last word
+        return Assisted(y, force, projector.active_set)
+    u, active = decided
+    y += opened.push.dot(u)
+    force = recover_force(model, stack.contacts, q, v, y)
+    return Assisted(y, force, stack.mode.active_set(active))
+
+
+def _decide(
+    stack: Stack, opened: Openness, misses: np.ndarray, lacks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The smallest u (k + n_f,) that makes up for misses (k,) and lacks, and the active rows of C.
+
+    None if the solver finds none.
+    """
+    k, n_u = len(misses), opened.push.shape[1]
+    rows = np.zeros((k + len(lacks), n_u))
+    rows[:k, :k] = opened.factor
+    np.matmul(stack.contacts.C, opened.push[stack.layout.n_accelerations :], out=rows[k:])
+    lower = np.concatenate([misses, lacks])
+    upper, sense = np.full(len(lower), _NO_BOUND), np.zeros(len(lower), dtype=np.int32)
+    try:
+        u, _, flag, info = daqp.solve(np.eye(n_u), np.zeros(n_u), rows, upper, lower, sense)
+    except RuntimeError:  # how daqp says that it cannot
+        return None
+    if flag != 1:
+        return None
+    return np.asarray(u), np.flatnonzero(np.asarray(info["lam"])[k:])
