@@ -79,7 +79,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    if is_xdist_worker(item.session) and not is_live(item.nodeid):
+    beside_live = is_xdist_worker(item.session) and is_live(item.session.items[0].nodeid)
+    if beside_live and not is_live(item.nodeid):
         os.setpriority(os.PRIO_PROCESS, 0, 19)
 
 
