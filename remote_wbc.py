@@ -6,6 +6,7 @@ This module is at the top level because no other program uses its name. A folder
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -21,6 +22,17 @@ _DESCRIPTION = (
     "Whole-body control from the edge, over a link that stalls. Each command has a --help; "
     "./deploy/… and python -m … are other forms of the same commands."
 )
+
+
+# Commands to a running stack, which may fill all cores at real-time priority.
+_AT_ONCE = {"push", "link", "go", "drive", "controller"}
+_AT_ONCE |= {"pause", "step", "speed", "resume", "reset"}
+
+
+def _hurry() -> None:
+    """Ask for the lowest real-time priority, below that of every service, for a short command."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
 
 
 def begin(name: str) -> None:
@@ -55,6 +67,8 @@ def _not_installed() -> int:
 
 def main() -> NoReturn:
     """Run the command `wbc`."""
+    if sys.argv[1:2] and sys.argv[1] in _AT_ONCE:
+        _hurry()
     begin("__main__")
     from shared.process.cli import run, run_command
 
@@ -91,6 +105,9 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
         # The study takes long to import.
         add_change_arguments(parser)
         return
+    # A study is no short command.
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     from experiments.link import add_link_arguments as add_study_arguments
 
     parser.description = (

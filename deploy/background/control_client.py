@@ -45,8 +45,9 @@ def _request(stack: StackFolder, name: str, text: str, *, within_seconds: float)
     asking = socket.socket(socket.AF_UNIX)
     asking.settimeout(within_seconds)
     try:
-        with asking, within(stack.folder):
-            asking.connect(stack.control.name)
+        with asking:
+            with within(stack.folder):
+                asking.connect(stack.control.name)
             asking.sendall(json.dumps({name: text}).encode() + b"\n")
             with asking.makefile(encoding="utf-8") as answers:
                 answer: dict[str, Any] = json.loads(answers.readline())

@@ -61,9 +61,10 @@ class ControlServer:
 
     async def _answer(self, reader: asyncio.StreamReader) -> dict[str, Any]:
         try:
+            line = await reader.readline()
             if len(self._open) > _MAX_OPEN:
                 return {"error": f"expected at most {_MAX_OPEN} requests at once; try again"}
-            ((name, text),) = json.loads(await reader.readline()).items()
+            ((name, text),) = json.loads(line).items()
             if name not in self._requests:
                 return {"error": f"request: {one_of(self._requests, name)}"}
             return await self._requests[name](str(text))

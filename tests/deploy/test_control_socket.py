@@ -111,15 +111,16 @@ def test_of_a_flood_of_requests_few_wait_and_the_others_are_refused(
         return {"time_ns": 0, "note": ""}
 
     async def play() -> None:
-        client = StackClient(stack)
         async with served(stack, command):
-            waiting = [asyncio.create_task(asyncio.to_thread(client.send, Cut())) for _ in range(2)]
+            line = b'{"command": "link cut"}'
+            waiting = [asyncio.create_task(asyncio.to_thread(told, stack, line)) for _ in range(2)]
             while len(begun) < 2:
                 await asyncio.sleep(0)
-            with pytest.raises(LinkError, match="expected at most 2 requests at once; try again"):
-                await asyncio.to_thread(client.send, Cut())
+            refused = await asyncio.to_thread(told, stack, line)
+            assert b"expected at most 2 requests at once; try again" in refused
             over.set()
-            await asyncio.gather(*waiting)
+            answers = await asyncio.gather(*waiting)
+        assert answers == [b'{"time_ns": 0, "note": ""}\n'] * 2
         assert len(begun) == 2
 
     asyncio.run(play())
@@ -163,3 +164,22 @@ def test_a_command_loads_nothing_that_takes_long(command: str, tmp_path: Path) -
     ended = played(*python("-c", script))
     assert f"no stack in {tmp_path} runs" in ended.stderr
     assert ended.stdout.strip() == "[]"
+
+
+def test_a_command_hurries_and_a_study_of_the_same_name_does_not(tmp_path: Path) -> None:
+    script = "import os, sys; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))"
+    if played(*python("-c", script)).returncode:
+        pytest.skip("this user may not have real-time priority")
+    for typed, policy in (
+        (["link", "cut", "--run", str(tmp_path)], os.SCHED_FIFO),
+        (["link", "--help"], os.SCHED_OTHER),
+        (["ps", "--help"], os.SCHED_OTHER),
+    ):
+        script = (
+            "import os, sys, remote_wbc\n"
+            f"sys.argv = ['wbc', *{typed}]\n"
+            "try:\n    remote_wbc.main()\n"
+            "except SystemExit:\n"
+            "    print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK, file=sys.stderr)\n"
+        )
+        assert played(*python("-c", script)).stderr.splitlines()[-1] == str(policy), typed
