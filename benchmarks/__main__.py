@@ -20,6 +20,7 @@ COMMANDS = (
     Subcommand(
         "real-path", "two namespaces and a slow cable, as root", "benchmarks.real_path.measure"
     ),
+    Subcommand("session", "random commands to a live stack", "benchmarks.commands"),
     Subcommand("viewer", "whether watching disturbs the robot", "benchmarks.commands"),
 )
 

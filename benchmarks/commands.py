@@ -3,8 +3,20 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from benchmarks import against, capacity, core, floor, lockstep, netem, peers, recording, viewer
+from benchmarks import (
+    against,
+    capacity,
+    core,
+    floor,
+    lockstep,
+    netem,
+    peers,
+    recording,
+    session,
+    viewer,
+)
 from benchmarks.termination import exit_at_termination
 from shared.errors import ConfigError
 from shared.process.cli import EXIT_STANDING
@@ -110,6 +122,20 @@ def run_lockstep(arguments: argparse.Namespace) -> int:
     if arguments.seconds is not None and not 0.1 <= arguments.seconds <= 3600.0:
         raise ConfigError(f"--seconds: expected 0.1 to 3600, got {arguments.seconds:g}")
     print(lockstep.run(repetitions=arguments.repetitions, seconds=arguments.seconds))
+    return EXIT_STANDING
+
+
+def add_session_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seed", type=int, default=0, help="of the commands; 0")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of commands; 10")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="keep the run in DIR/run")
+
+
+def run_session(arguments: argparse.Namespace) -> int:
+    if not 0.1 <= arguments.minutes <= 600.0:
+        raise ConfigError(f"--minutes: expected 0.1 to 600, got {arguments.minutes:g}")
+    exit_at_termination()
+    print(session.run(seed=arguments.seed, minutes=arguments.minutes, folder=arguments.out))
     return EXIT_STANDING
 
 

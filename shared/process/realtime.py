@@ -63,8 +63,8 @@ class RealtimeBudget:
 class RealtimeShare:
     """Gives a loop real-time priority for a share of a core, and ordinary scheduling beyond it.
 
-    A loop that calls `keep` in every turn uses at least its `share`, whatever else runs. When it
-    has used the share in a window, it competes with ordinary processes until the window ends.
+    A loop that calls `keep` in every turn has at least its `share` beside any number of ordinary
+    processes. When it has used the share in a window, it competes with them until the window ends.
     Without real-time scheduling this does nothing.
     """
 
