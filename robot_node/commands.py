@@ -39,7 +39,7 @@ _ATTEMPTS = 3
 
 
 class _OutdatedError(Exception):
-    """Another command has been carried out since a command was prepared."""
+    """The robot has another controller than the one for which a command was prepared."""
 
 
 class RobotCommands:
@@ -54,7 +54,7 @@ class RobotCommands:
         self._events = hub.publisher(EVENTS_KEY)
         self._clock = hub.publisher(CLOCK_KEY)
         self._preparing = threading.Lock()
-        self._carried_out = 0
+        self._changes = 0
         CommandServer(hub, ROBOT_COMMANDS_KEY, self._carry_out)
 
     def play(self, script: Sequence[CommandEvent]) -> None:
@@ -98,23 +98,24 @@ class RobotCommands:
     def _between_ticks(self, command: RobotCommand, at_ns: int) -> int:
         """Prepare a command and carry it out. Return the task time of its first tick [ns].
 
-        If another command comes between, prepare it again: it may be for another controller now.
+        Between the two, an operator's command and one of a script may change the controller.
         """
         for _ in range(_ATTEMPTS):
             with self._preparing:
                 action = self._loop.pace.prepare(command) or self._node.prepare(command)
-                act = partial(self._act, action, self._carried_out)
+                if isinstance(command, SwitchController | Reset):
+                    action = partial(self._change, action, self._changes)
             try:
-                return self._loop.between_ticks(act, at_ns=at_ns)
+                return self._loop.between_ticks(action, at_ns=at_ns)
             except _OutdatedError:
                 continue
         raise LinkError(f"{command}: other commands came between {_ATTEMPTS} times; try again")
 
-    def _act(self, action: Callable[[], None], carried_out: int) -> None:
-        if carried_out != self._carried_out:
+    def _change(self, action: Callable[[], None], changes: int) -> None:
+        if changes != self._changes:
             raise _OutdatedError
         action()
-        self._carried_out += 1
+        self._changes += 1
 
 
 def _note(command: Command) -> str:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from threading import Thread
+from typing import Any
+
 import numpy as np
 import pytest
 
+from robot_node.commands import RobotCommands
 from robot_node.controllers import LocallyAssisted, PurelyRemote
 from robot_node.corrected import LocallyCorrected
+from robot_node.live import LiveLoop, Progress
 from robot_node.pace import Pace
-from shared.errors import ConfigError
+from shared.bus.base import Inbox
+from shared.errors import ConfigError, LinkError
+from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import Source
 from shared.wire.operator.commands import (
     Pause,
@@ -20,6 +29,7 @@ from shared.wire.operator.commands import (
     SwitchController,
 )
 from shared.wire.operator.texts import parse_command
+from tests.processes import until
 from tests.robot_node.bench import MS, SESSION, Bench, nothing
 
 
@@ -132,3 +142,103 @@ def test_simulated_time_stands_still_and_goes_on():
         carry_out()
         assert (pace.left, pace.clock.speed) == (left, speed)
     assert pace.prepare(Reset()) is None
+
+
+class Hub:
+    """A hub on which nobody asks and nobody listens."""
+
+    def publisher(self, key: str) -> Hub:
+        return self
+
+    def publish(self, data: bytes) -> None:
+        pass
+
+    def serve(self, key: str) -> Hub:
+        return self
+
+    def answer(self, respond: object) -> bool:
+        return False
+
+
+class Loop:
+    """A loop whose ticks come at once: that of a time after the next of the commands `before`."""
+
+    def __init__(self) -> None:
+        self.progress = Progress(running=True)
+        self.pace = Pace()
+        self.before: list[Any] = []
+
+    def between_ticks(self, action: Callable[[], None], *, at_ns: int = 0) -> int:
+        if at_ns and self.before:
+            self.before.pop()()
+        action()
+        return at_ns
+
+
+class Node:
+    """A robot that carries everything out."""
+
+    fallen = False
+
+    def __init__(self) -> None:
+        self.prepared: list[str] = []
+        self.done: list[str] = []
+
+    def prepare(self, command: RobotCommand) -> Callable[[], None]:
+        self.prepared.append(str(command))
+        return lambda: self.done.append(str(command))
+
+
+def _any(stand_in: Any) -> Any:
+    return stand_in
+
+
+def test_a_controller_that_was_prepared_before_a_reset_is_prepared_again():
+    node, loop, hub = _any(Node()), _any(Loop()), _any(Hub())
+    commands = RobotCommands(hub, node, loop, print)
+    loop.before = [partial(commands._carry_out, Reset())]
+    # A script's command: it is prepared before its time.
+    assert commands._carry_out(SwitchController("lc"), at_ns=7 * MS).time_ns == 7 * MS
+    assert node.prepared == ["controller lc", "reset", "controller lc"]
+    assert node.done == ["reset", "controller lc"]
+    # A push is for any controller.
+    loop.before = [partial(commands._carry_out, Reset())]
+    commands._carry_out(parse_command("push 1N +x"), at_ns=9 * MS)
+    assert node.done[2:] == ["reset", "push 1N +x --for 200ms"]
+    loop.before = 5 * [partial(commands._carry_out, Reset())]
+    with pytest.raises(LinkError, match="other commands came between 3 times"):
+        commands._carry_out(SwitchController("la"), at_ns=9 * MS)
+
+
+def test_an_action_with_a_time_waits_for_its_tick_and_lets_others_pass(bench):
+    """The robot's own loop, tick by tick: see `LiveLoop._carry_out_due`."""
+    node = bench().robot
+    loop = LiveLoop(
+        node,
+        node._config.loop,
+        uplink=_any(Hub()),
+        inbox=Inbox(),
+        log=RowLog(node.schema),
+        explain=str,
+    )
+    done: list[str] = []
+
+    def ask(name: str, at_ns: int) -> Thread:
+        thread = Thread(target=lambda: loop.between_ticks(lambda: done.append(name), at_ns=at_ns))
+        before = len(loop._between)
+        thread.start()
+        until(lambda: len(loop._between) > before, "it is not taken")
+        return thread
+
+    threads = [ask("late", 5 * MS), ask("now", 0)]
+    loop._carry_out_due()
+    assert done == ["now"]
+    node.time_ns = 4 * MS
+    loop._carry_out_due()
+    assert done == ["now"]
+    node.time_ns = 5 * MS
+    loop._carry_out_due()
+    assert done == ["now", "late"]
+    for thread in threads:
+        thread.join()
+    assert loop._between == []
