@@ -2,9 +2,9 @@
 
 Every one or two seconds a command comes from a seeded generator: pushes, changes of the link, the
 controller and the pace, resets. The next command mends a cut link. After a fall the robot is put on
-its feet. The result has the commands by kind, the number of falls, the memory of each service at
-the beginning and at the end, and whether the run's record plays again to the same events at the
-same times.
+its feet. The result has the commands by kind, the number of falls, and the memory of each service
+at the beginning and at the end. It says whether the run's record plays again to the same events at
+the same times.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _any(random: np.random.Generator) -> str:
 
 @dataclass
 class Session:
-    """What has happened: commands by their first words, refusals, falls, and memory [MB]."""
+    """Counts of commands by their first words, refusals, the number of falls, memory [MB]."""
 
     sent: Counter[str]
     refused: list[str]

@@ -1,9 +1,10 @@
 """Both ends of an operator's commands on the telemetry session: the client and the servers.
 
-The robot and the shim each serve the commands that they carry out. A command has one answer. A
-server takes at most about fifty commands a second, off the robot's tick; of a flood it takes some
-and drops the others. A script, whose times are known before the start, needs no message: each
-process carries out its own commands of it.
+The robot, the shim and the edge each serve the commands that they carry out. A command has one
+answer. A server takes a few commands at once and then four a second, off the robot's tick. More
+would delay more than one tick in a hundred, so the server drops the rest of a flood. A script,
+whose times are known before the start, needs no message: each process carries out its own commands
+of it.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from shared.wire.operator.messages import (
 )
 from shared.wire.robot_clock import ClockReading, decode_clock
 
-_PAUSE_SECONDS = 0.02
+_AT_ONCE, _A_SECOND = 8.0, 4.0
 _ANSWER_SECONDS = 5.0
 # Between two looks at the robot's clock, which an operator may stop.
 _LOOK_SECONDS = 0.05
@@ -161,8 +162,13 @@ class CommandServer:
         threading.Thread(target=self._serve, name="commands", daemon=True).start()
 
     def _serve(self) -> None:
+        left, before = _AT_ONCE, time.monotonic()
         while self._requests.answer(self._answer):
-            time.sleep(_PAUSE_SECONDS)
+            now = time.monotonic()
+            left = min(_AT_ONCE, left + (now - before) * _A_SECOND) - 1.0
+            before = now
+            if left < 0.0:
+                time.sleep(-left / _A_SECOND)
 
     def _answer(self, data: bytes) -> bytes:
         try:
