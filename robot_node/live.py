@@ -89,6 +89,7 @@ class LiveLoop:
         self._uplink = uplink
         self._inbox = inbox
         self._plans = Inbox()
+        self._log = log
         self._tick = Tick(node, log.row)
         self._explain = explain
         self._stays = stays
@@ -232,6 +233,8 @@ class LiveLoop:
         pace = self.pace
         if pace.left == 0:
             pace.stand_still()
+            # The last rows before a pause or a fall should be seen now, not after it.
+            self._log.hand_over()
             while pace.left == 0 and not stopping():
                 time.sleep(_STANDING_SECONDS)
                 if self._between:

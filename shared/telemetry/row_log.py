@@ -83,14 +83,14 @@ class RowLog:
     def row(self) -> np.ndarray:
         """Return the next row, shape (schema.width,), zeroed; fill it before the next call."""
         if self._used == BLOCK_ROWS:
-            self._hand_over()
+            self.hand_over()
         self._used += 1
         row: np.ndarray = self._block[self._used - 1]
         return row
 
     def close(self) -> None:
         """Hand over the last rows, and wait at most ten seconds until they are written."""
-        self._hand_over()
+        self.hand_over()
         if self._thread is not None:
             self._queue.put(None)
             self._thread.join(timeout=10.0)
@@ -120,7 +120,8 @@ class RowLog:
             with self._keeping_failure():
                 os.truncate(self.path, max(kept, len(_header(self.schema))))
 
-    def _hand_over(self) -> None:
+    def hand_over(self) -> None:
+        """Give the rows so far to the background thread, before their block is full."""
         block, self._block = self._block[: self._used], np.zeros_like(self._block)
         self._used = 0
         if not len(block):

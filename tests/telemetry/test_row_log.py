@@ -23,6 +23,7 @@ from shared.telemetry.row_log import (
     row_chunks,
 )
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Column, Schema, tick_schema
+from tests.processes import until
 
 SCHEMA = Schema(Column("tick", kind="int64"), Column("q", 3), Column("error"))
 COUNTS = [0, 1, BLOCK_ROWS - 1, BLOCK_ROWS, BLOCK_ROWS + 1, 7 * BLOCK_ROWS + 3]
@@ -107,6 +108,21 @@ def test_blocks_are_published_in_order_and_whole():
     blocks = [decode_rows(data, SCHEMA)[1] for data in received]
     assert [len(block) for block in blocks] == [BLOCK_ROWS, BLOCK_ROWS, 7]
     np.testing.assert_array_equal(np.vstack(blocks), expected(2 * BLOCK_ROWS + 7))
+
+
+def test_rows_before_a_pause_are_published_before_their_block_is_full():
+    received: list[bytes] = []
+    log = RowLog(SCHEMA, publish=received.append)
+    log.row()[:] = 1.0
+    log.row()[:] = 2.0
+    log.hand_over()
+    until(lambda: len(received) == 1, "they are not published")
+    # Without new rows there is nothing to hand over.
+    log.hand_over()
+    log.row()[:] = 3.0
+    log.close()
+    blocks = [decode_rows(data, SCHEMA)[1][:, 0].tolist() for data in received]
+    assert blocks == [[1.0, 2.0], [3.0]]
 
 
 @pytest.mark.parametrize("on_file", [False, True])
