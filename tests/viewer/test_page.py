@@ -435,7 +435,9 @@ def test_a_run_is_seen_and_pushed_from_the_page(robot: Robot, tmp_path: Path) ->
             assert state["events"] == ["0.01 s: push 100N +y --for 200ms"]
             assert carried_out == [parse_command("push 100N +y")]
             browser.send("push 100N up")
-            assert "direction" in json.loads(browser.recv(timeout=PATIENCE_SECONDS))["answer"]
+            while not state.get("refused"):
+                state = json.loads(browser.recv(timeout=PATIENCE_SECONDS))
+            assert "direction" in state["answer"]
         viewer.signal(signal.SIGTERM)
         assert viewer.wait() == 0
     finally:
