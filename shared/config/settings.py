@@ -49,17 +49,21 @@ class Gains:
     swing_foot: float = setting(
         300.0, help="gain of the foot in the air", unit="1/s²", at_least=0.0
     )
+    angular_momentum: float = setting(
+        10.0, help="gain of the angular momentum", unit="1/s", at_least=0.0
+    )
 
 
 @dataclass(frozen=True)
 class Weights:
-    """Task weights ω of Eq. (2a)."""
+    """Task weights ω of Eq. (2a). Without a weight the angular momentum is no task."""
 
     com: float = setting(1.0, help="weight of the CoM", at_least=1e-9)
     base_orientation: float = setting(0.1, help="weight of the base", at_least=1e-9)
     posture: float = setting(1e-2, help="weight of the joints", at_least=1e-9)
     force: float = setting(1e-5, help="weight of the contact forces", at_least=1e-9)
     swing_foot: float = setting(10.0, help="weight of the foot in the air", at_least=1e-9)
+    angular_momentum: float = setting(0.0, help="weight of the angular momentum", at_least=0.0)
 
 
 @dataclass(frozen=True)

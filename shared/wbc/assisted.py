@@ -1,6 +1,6 @@
 """LA: the solution of a projector for the b of a tick.
 
-For a robot without limits of its own it is y = A† b, Eq. (4). With limits the projector has decided
+Without limits of the robot it is y = A† b, Eq. (4). With limits the projector has decided
 on no inequality row, because a stale decision does harm: a joint that has left its bound would be
 thrown back to it, and an unloading foot pulls. The robot then decides,
 

@@ -10,7 +10,7 @@ each millisecond therefore stay in Pinocchio's memory: they are `Live`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NewType
 
 import numpy as np
@@ -63,10 +63,18 @@ class Kinematics:
     sole_velocity: dict[Foot, Live]
     sole_acceleration: dict[Foot, Live]
     soles: dict[Foot, _Sole]
+    momenta: _Momenta
 
     def sole_placement(self, foot: Foot) -> pin.SE3:
         """World from sole."""
         return self.soles[foot].placement()
+
+    def angular_momentum(self) -> tuple[Live, Live]:
+        """About the CoM [kg m²/s] and its rate at the acceleration [N m], (3,) in the world.
+
+        Computed here, by one more pass, because most robots have no such task.
+        """
+        return self.momenta.at(self.q, self.v, self.a)
 
 
 @dataclass(slots=True)
@@ -89,17 +97,35 @@ class RowMultipliers:
     """One number per row of the QP, for products with the transposed rows.
 
     `dynamics` (6,) of M_u, `com` (3,) of J_com, `soles` (6,) per foot of J_sole, in their frames;
-    `joints` (nv,) of rows that are the identity.
+    `joints` (nv,) of rows that are the identity; `angular_momentum` (3,) about the CoM, in the base
+    frame.
     """
 
     dynamics: np.ndarray
     com: np.ndarray
     soles: dict[Foot, np.ndarray]
     joints: np.ndarray
+    angular_momentum: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @staticmethod
     def zero(nv: int) -> RowMultipliers:
         return RowMultipliers(np.zeros(6), np.zeros(3), {}, np.zeros(nv))
+
+
+class _Momenta:
+    """The centroidal momentum and its rate, in the workspace of a model."""
+
+    def __init__(self, model: pin.Model, data: pin.Data) -> None:
+        self._model, self._data = model, data
+        self._still = np.zeros(model.nv)
+
+    def at(self, q: np.ndarray, v: np.ndarray, a: np.ndarray | None) -> tuple[Live, Live]:
+        """The angular momentum about the CoM and its rate, (3,) in the world."""
+        data = self._data
+        pin.computeCentroidalMomentumTimeVariation(
+            self._model, data, q, v, self._still if a is None else a
+        )
+        return Live(data.hg.angular), Live(data.dhg.angular)
 
 
 class _Sole:
@@ -173,6 +199,7 @@ class WholeBodyModel:
             sole_velocity={foot: Live(np.zeros(6)) for foot in Foot},
             sole_acceleration={foot: Live(np.zeros(6)) for foot in Foot},
             soles=self._soles,
+            momenta=_Momenta(self.model, data),
         )
 
     def kinematics(
@@ -245,6 +272,13 @@ class WholeBodyModel:
         """
         a = np.zeros(self.nv)
         a[:6] = multipliers.dynamics
+        turn = multipliers.angular_momentum
+        if turn.any():
+            # M_u of the moment about the CoM c: μ at the base's origin, and c × μ.
+            com = pin.centerOfMass(self.model, self.data, q, False)
+            in_base = self.data.oMi[1].actInv(com)
+            a[3:6] += turn
+            a[:3] += np.cross(in_base, turn)
         a[:3] += multipliers.com / self._mass
         self._load_soles({foot: -wrench for foot, wrench in multipliers.soles.items()})
         force = pin.rnea(

@@ -3,8 +3,8 @@
 The robot asks it for `right_hand_side` (b: cheap, every millisecond); the edge also for `matrices`
 (A: Jacobians). The rows of b that carry feedback are named in one `RowLayout`:
 
-    dynamics 6 | contacts 6 per loaded foot | com 3 | base_orientation 3 | posture | swing_foot 6
-    (single support) | bounds 1
+    dynamics 6 | contacts 6 per loaded foot | com 3 | base_orientation 3 | posture |
+    angular_momentum 3 (with a weight) | swing_foot 6 (single support) | bounds 1
 
 Force regularisation targets zero and needs no row. The bounds of active inequality rows are
 constant, so `bounds` is a single entry, always 1: one column of a projector holds their effect.
@@ -31,7 +31,14 @@ from shared.wbc.least_norm import LeastNorm, LeastNormForm
 from shared.wbc.limits import Limits
 from shared.wbc.model import Jacobians, Kinematics, RowMultipliers, WholeBodyModel
 from shared.wbc.reference import Reference
-from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, SwingFootTask, Task
+from shared.wbc.tasks import (
+    AngularMomentumTask,
+    BaseOrientationTask,
+    ComTask,
+    PostureTask,
+    SwingFootTask,
+    Task,
+)
 
 N_DYNAMICS = 6
 ROWS_PER_CONTACT = 6
@@ -107,6 +114,11 @@ class Stack:
             ComTask(weight=weights.com, kp=gains.com),
             BaseOrientationTask(weight=weights.base_orientation, kp=gains.base_orientation, nv=nv),
             PostureTask(weight=weights.posture, kp=gains.posture, nv=nv),
+            *(
+                [AngularMomentumTask(weight=weights.angular_momentum, kp=gains.angular_momentum)]
+                if weights.angular_momentum
+                else []
+            ),
             *(
                 SwingFootTask(weight=weights.swing_foot, kp=gains.swing_foot, foot=foot)
                 for foot in Foot

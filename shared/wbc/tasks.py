@@ -150,6 +150,37 @@ class PostureTask:
         multipliers.joints[6:] += rows
 
 
+class AngularMomentumTask:
+    """Angular momentum about the CoM [kg m²/s], in the base frame, with zero as its reference.
+
+    J is the angular part of the centroidal momentum matrix, and s̈* = −kp L, as in TSID.
+    """
+
+    name = "angular_momentum"
+    size = 3
+    constant = False
+
+    def __init__(self, *, weight: float, kp: float) -> None:
+        self.weight = weight
+        self._root = math.sqrt(weight)
+        self._kp = kp
+
+    def jacobian(self, jacobians: Jacobians) -> np.ndarray:
+        # J_com = (I, −[c]ₓ, …) with the CoM c in the base frame.
+        M, minus_com = jacobians.M_unactuated, jacobians.J_com[:, 3:6]
+        rows: np.ndarray = M[3:] + minus_com @ M[:3]
+        return rows
+
+    def write_target(self, rows: np.ndarray, kinematics: Kinematics, reference: Reference) -> None:
+        momentum, rate = kinematics.angular_momentum()
+        asked = self._kp * momentum + rate
+        asked *= -self._root
+        asked.dot(kinematics.world_from_base, rows)
+
+    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+        multipliers.angular_momentum += rows
+
+
 class SwingFootTask:
     """Pose of the swing foot, in its sole frame: position [m], then orientation [rad]."""
 

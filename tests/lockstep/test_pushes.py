@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from experiments.lockstep import Lockstep
@@ -66,6 +67,36 @@ def test_limits_of_an_old_state_do_not_throw_the_joints_of_la():
     assert not result.summary["fell"]
     assert result.summary["saturated_ticks"] == 0
     assert result.summary["joint_beyond_rad"] < 0.0
+
+
+@pytest.mark.parametrize("controller", ["pr", "la", "lc"])
+def test_a_weight_of_the_angular_momentum_turns_the_robot_less(controller, robot):
+    def turning(weight):
+        settings = {
+            "controller": controller,
+            "push": ["80N@0.05s:0.1s:+y"],
+            "link.network": "constant:5ms",
+            "duration": 0.4,
+            "sensors.joint_position_noise": 0.0,
+            "wbc.weights.angular_momentum": weight,
+            "wbc.gains.angular_momentum": 50.0,
+        }
+        result = play(**settings)
+        assert not result.summary["fell"]
+        data = robot.model.createData()
+        states = zip(
+            result.schema.column(result.rows, "q"),
+            result.schema.column(result.rows, "v"),
+            strict=True,
+        )
+        # After the push, which turns the robot with either weight.
+        momenta = [
+            pin.computeCentroidalMomentum(robot.model, data, q, v).angular.copy()
+            for q, v in list(states)[150:]
+        ]
+        return np.sqrt(np.mean(np.square(momenta)))
+
+    assert turning(1.0) < 0.5 * turning(0.0)
 
 
 @pytest.mark.parametrize("kind", ["mujoco", "rigid"])

@@ -9,7 +9,13 @@ import pytest
 
 from shared.robots import Foot
 from shared.wbc.model import RowMultipliers
-from shared.wbc.tasks import BaseOrientationTask, ComTask, PostureTask, SwingFootTask
+from shared.wbc.tasks import (
+    AngularMomentumTask,
+    BaseOrientationTask,
+    ComTask,
+    PostureTask,
+    SwingFootTask,
+)
 
 KP = 7.0
 KD = 2.0 * math.sqrt(KP)  # critical damping
@@ -157,9 +163,38 @@ def test_jacobians_of_orientation_and_posture_pick_their_velocities(model, state
     np.testing.assert_array_equal(posture.jacobian(jacobians) @ v, v[6:])
 
 
+def test_the_rate_of_the_angular_momentum_is_its_row_times_the_acceleration(
+    model, states, reference, rng
+):
+    """Against differences of Pinocchio's centroidal momentum along the motion."""
+    task, data, step = AngularMomentumTask(weight=1.0, kp=KP), model.model.createData(), 1e-5
+
+    def momentum(q, v):
+        return pin.computeCentroidalMomentum(model.model, data, q, v).angular.copy()
+
+    for q, v in states[:12]:
+        a = rng.standard_normal(model.nv)
+        J = task.jacobian(model.jacobians(q))
+        turned = pin.Quaternion(q[3:7]).matrix()
+        np.testing.assert_allclose(turned @ (J @ v), momentum(q, v), atol=1e-10)
+        ahead, behind = (
+            momentum(pin.integrate(model.model, q, t * v + 0.5 * t * abs(t) * a), v + t * a)
+            for t in (step, -step)
+        )
+        rate = (ahead - behind) / (2.0 * step)
+        scale = max(1.0, np.abs(rate).max())
+        target = target_of(task, model.kinematics(q, v), reference)
+        asked = turned @ (J @ a - target)  # L̇ + kp L
+        np.testing.assert_allclose(asked, rate + KP * momentum(q, v), atol=1e-5 * scale)
+        # At a solution the row is what is left of it.
+        still = {foot: np.zeros(6) for foot in Foot}
+        left = target_of(task, model.kinematics(q, v, a, still), reference)
+        np.testing.assert_allclose(left, target - J @ a, atol=1e-9 * scale)
+
+
 def test_multipliers_of_a_task_are_added_to_those_that_are_there(task, model, states, rng):
     swing = SwingFootTask(weight=1.0, kp=KP, foot=Foot.LEFT)
-    for each in (task, swing):
+    for each in (task, swing, AngularMomentumTask(weight=1.0, kp=KP)):
         multipliers = RowMultipliers.zero(model.nv)
         first, second = rng.standard_normal((2, each.size))
         each.add_transposed(first, multipliers)
