@@ -26,6 +26,7 @@ from shared.wbc.model import Kinematics
 _TORQUE_PRICE, _JOINT_PRICE = 1e5, 1e2
 # λ [1/s], and the largest acceleration that a bound asks for [rad/s²].
 _RATE, _HARDEST = 20.0, 100.0
+_SQUARE_RATE, _DOUBLE_RATE = np.array(_RATE**2), np.array(2.0 * _RATE)
 _UNLIMITED = 1e9
 # A quantity so far from its bound counts as near, [1] and [rad/s²]. A projector leaves at most so
 # many limits open: near ones, and active ones. A message has room for two such projectors.
@@ -47,22 +48,27 @@ class Limits:
         self.torque_scale = 1.0 / (config.torque_fraction * self.clamp)
         self.slack = np.repeat([1.0 / _TORQUE_PRICE, 1.0 / _JOINT_PRICE], n)
         self._near = np.tile(np.repeat([_TORQUE_NEAR, _JOINT_NEAR], n), 2)
-        self._config = config
-        # Lower and upper bounds, torques then joints.
-        self._lower, self._upper = np.full(2 * n, -_UNLIMITED), np.full(2 * n, _UNLIMITED)
-        if config.torque:
-            self._lower[:n], self._upper[:n] = -1.0, 1.0
-        self._lowest_acceleration, self._highest_acceleration = self._lower[n:], self._upper[n:]
         self._limits_joints = config.position or config.velocity
-        lowest, highest = robot.position_limit
-        self._lowest = _RATE**2 * (lowest + config.position_margin)
-        self._highest = _RATE**2 * (highest - config.position_margin)
+        self._limits_velocity = config.velocity
+        # Lower bounds, and upper bounds with a minus, torques then joints. Those of a joint's
+        # position are for λ² q + 2 λ q̇ + a instead of a.
+        self._lower, self._minus_upper = np.full((2, 2 * n), -_UNLIMITED)
+        if config.torque:
+            self._lower[:n] = self._minus_upper[:n] = -1.0
+        if config.position:
+            lowest, highest = robot.position_limit
+            self._lower[n:] = _SQUARE_RATE * (lowest + config.position_margin)
+            self._minus_upper[n:] = -_SQUARE_RATE * (highest - config.position_margin)
         self._fastest = _RATE * robot.velocity_limit
-        self._slowest = -self._fastest
-        self._hardest = np.full(n, _HARDEST)
-        self._hardest_back = -self._hardest
         self._x = np.zeros(2 * n)
-        self._torques, self._accelerations = self._x[:n], self._x[n:]
+        self._torques, self._braking = self._x[:n], self._x[n:]
+        self._of_rates = np.zeros(n)
+        # Misses, and views of them: making a view takes as long as a sum.
+        self._misses = np.zeros((2, 2 * n))
+        self._lower_misses, self._upper_misses = self._misses
+        self._of_joints = self._misses[:, n:]
+        self._lower_of_joints, self._upper_of_joints = self._of_joints
+        self._flat = self._misses.reshape(-1)
 
     @staticmethod
     def of(robot: Robot, config: RunConfig) -> Limits | None:
@@ -78,15 +84,33 @@ class Limits:
         As in b, x is that of y = 0 or of the solution whose kinematics these are.
         """
         np.multiply(kinematics.force[6:], self.torque_scale, self._torques)
-        if kinematics.a is None:
-            self._accelerations.fill(0.0)
-        else:
-            self._accelerations[:] = kinematics.a[6:]
         if self._limits_joints:
-            self._bound_joints(kinematics.q[7:], kinematics.v[6:])
-        n_x = len(self._x)
-        np.subtract(self._lower, self._x, rows[:n_x])
-        np.subtract(self._x, self._upper, rows[n_x:])
+            np.multiply(kinematics.q[7:], _SQUARE_RATE, self._braking)
+            np.multiply(kinematics.v[6:], _DOUBLE_RATE, self._of_rates)
+            np.add(self._braking, self._of_rates, self._braking)
+        np.subtract(self._lower, self._x, self._lower_misses)
+        np.add(self._minus_upper, self._x, self._upper_misses)
+        if self._limits_velocity:
+            self._bound_rates(self._of_joints, kinematics.v[6:])
+        if self._limits_joints:
+            np.minimum(self._of_joints, _HARDEST, self._of_joints)
+            if kinematics.a is not None:
+                a = kinematics.a[6:]
+                np.subtract(self._lower_of_joints, a, self._lower_of_joints)
+                np.add(self._upper_of_joints, a, self._upper_of_joints)
+        rows[:] = self._flat
+
+    def _bound_rates(self, joints: np.ndarray, rates: np.ndarray) -> None:
+        """Tighten the bounds of accelerations, (2, n) from below and minus from above.
+
+        A bound of a velocity is moved to that of the position if it is beyond it.
+        """
+        lowest, highest = joints[0].copy(), -joints[1]
+        for bound, fastest in ((joints[0], -self._fastest), (joints[1], self._fastest)):
+            np.subtract(fastest, _RATE * rates, bound)
+            np.maximum(bound, lowest, bound)
+            np.minimum(bound, highest, bound)
+        np.negative(joints[1], joints[1])
 
     def misses(self, of_b: np.ndarray, force: np.ndarray, a: np.ndarray) -> np.ndarray:
         """The misses (2 n_x,) at a solution, from the entries of b at the same state.
@@ -94,12 +118,13 @@ class Limits:
         `force` (nv,) is the generalised force of the solution, `a` (nv,) are its accelerations.
         """
         n = len(self.clamp)
-        torques, accelerations = force[6:] * self.torque_scale, a[6:]
+        np.multiply(force[6:], self.torque_scale, self._torques)
         misses = of_b.copy()
-        np.subtract(self._lower[:n], torques, misses[:n])
-        misses[n : 2 * n] -= accelerations
-        np.subtract(torques, self._upper[:n], misses[2 * n : 3 * n])
-        misses[3 * n :] += accelerations
+        lower, upper = misses.reshape(2, 2 * n)
+        np.subtract(self._lower[:n], self._torques, lower[:n])
+        np.add(self._minus_upper[:n], self._torques, upper[:n])
+        lower[n:] -= a[6:]
+        upper[n:] += a[6:]
         return misses
 
     def near(self, misses: np.ndarray, active: np.ndarray) -> np.ndarray:
@@ -113,22 +138,3 @@ class Limits:
         closest = np.argsort(-distance, kind="stable")[:most]
         near: np.ndarray = np.sort(closest[distance[closest] > -1.0])
         return near
-
-    def _bound_joints(self, positions: np.ndarray, rates: np.ndarray) -> None:
-        lower, upper = self._lowest_acceleration, self._highest_acceleration
-        if self._config.velocity:
-            braking = _RATE * rates
-            np.subtract(self._slowest, braking, lower)
-            np.subtract(self._fastest, braking, upper)
-        if self._config.position:
-            braking = _RATE**2 * positions
-            braking += 2.0 * _RATE * rates
-            lowest, highest = self._lowest - braking, self._highest - braking
-            if self._config.velocity:
-                for bound in (lower, upper):
-                    np.maximum(bound, lowest, bound)
-                    np.minimum(bound, highest, bound)
-            else:
-                lower[:], upper[:] = lowest, highest
-        np.minimum(lower, self._hardest, lower)
-        np.maximum(upper, self._hardest_back, upper)

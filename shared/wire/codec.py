@@ -450,9 +450,7 @@ class Codec:
             raise MessageRefused("shape", "limits")
         k = len(limits)
         push = array_of(fields, "push", (layout.n_unknowns, k + layout.n_forces), dtype=_SINGLE)
-        triangle = array_of(fields, "factor", (k * (k + 1) // 2,), dtype=_SINGLE)
-        factor = np.zeros((k, k))
-        factor[np.tril_indices(k)] = triangle
+        factor = array_of(fields, "factor", (k, k), dtype=_SINGLE)
         return Openness(np.array(list(limits), dtype=int), push, factor)
 
     def pack(self, kind: str, max_bytes: int, **fields: Any) -> bytes:
@@ -573,7 +571,7 @@ def _open_fields(opened: Openness) -> dict[str, bytes]:
     return {
         "limits": bytes(opened.limits.tolist()),
         "push": opened.push.astype(_SINGLE).tobytes(),
-        "factor": _packed(opened.factor).astype(_SINGLE).tobytes(),
+        "factor": opened.factor.astype(_SINGLE).tobytes(),
     }
 
 
