@@ -26,9 +26,10 @@ class FootstepBuilder:
     """Puts footprints into a plan, with the CoP and DCM of each phase."""
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
-        self.stance = Stance.of(robot)
+        self.stance = Stance.of(robot, lowering=config.walk.com_lowering)
         self._config = config.walk
         self._double_support = config.stepping.double_support
+        self._swing_height = config.stepping.swing_height
 
     def steps(
         self,
@@ -123,7 +124,7 @@ class FootstepBuilder:
             feet=report.feet,
             com=(float(com[0, 0]), float(com[0, 1])),
             phases=tuple(phases),
-            swing_height=config.swing_height,
+            swing_height=self._swing_height,
         )
 
 
@@ -157,6 +158,8 @@ def footsteps(
             for foot, each in feet.items()
         }
         swing = min(behind, key=lambda foot: behind[foot])
+    # Of ground that nobody knows the lower one: to land early is safe, to land late is not.
+    lowest = min(each.z for each in feet.values())
     made = []
     for k in range(steps):
         support = feet[other(swing)]
@@ -170,7 +173,8 @@ def footsteps(
             x += c * advance[0] - s * advance[1]
             y += s * advance[0] + c * advance[1]
             yaw += advance[2]
-        goal = Footprint(swing, x - math.sin(yaw) * side, y + math.cos(yaw) * side, yaw)
+        place = x - math.sin(yaw) * side, y + math.cos(yaw) * side
+        goal = Footprint(swing, *place, yaw, lowest)
         made.append(goal)
         feet[swing] = goal
         swing = other(swing)

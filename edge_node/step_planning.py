@@ -27,7 +27,8 @@ class StepPlanning:
     """The law, the planner and the standing posture, the same for all robots of an edge."""
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
-        self.law: StepLaw = as_sent(make_step_law(robot, Stance.of(robot)))
+        stance = Stance.of(robot, lowering=config.walk.com_lowering)
+        self.law: StepLaw = as_sent(make_step_law(robot, stance))
         self.law_identity = law_identity(self.law)
         self.planner: Planner = make_planner(robot, config, self.law)
         self._path = PathPlanner(robot, config)

@@ -18,7 +18,6 @@ from shared.errors import MessageRefused
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import MAX_TURN
 from shared.motion.planned import Plan, other
-from shared.motion.stance import Stance
 from shared.motion.step_law import StepLaw, make_step_law
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
@@ -29,6 +28,8 @@ from shared.wire.plans import PlanCodec, law_identity
 # A plan's feet may be as far from the robot's [m, rad]; wire's rounding in its grids [m].
 _FEET_APART, _FEET_TURNED = 0.05, 0.2
 _ROUNDING = 1e-5
+# A foot goes at most so far up or down from the other one, and so high above both [m].
+_CLIMB, _LIFT = 0.15, 0.3
 # CoPs and DCMs of a plan are at most as far from a foot [m]. Values of a law are at most as large.
 _FARTHEST = 1.0
 _MAX_VALUE = 1e4
@@ -54,7 +55,7 @@ class PlanCache:
         self._codec = PlanCodec(codec)
         self._clock = clock
         self._session = session
-        self._own = make_step_law(robot, Stance.of(robot))
+        self._own = make_step_law(robot, clock.stance)
 
     def offer(self, data: bytes, *, sent: SentStates, now_ns: int, time_ns: int) -> bool:
         """Take a received message if it is valid. Return whether it was taken.
@@ -128,10 +129,13 @@ class PlanCache:
     def _check_places(self, plan: Plan) -> None:
         feet = {each.foot: each for each in plan.feet}
         for foot, own in self._clock.feet.items():
-            apart = math.dist((own.x, own.y), (feet[foot].x, feet[foot].y))
-            turned = abs(math.remainder(own.yaw - feet[foot].yaw, math.tau))
+            theirs = feet[foot]
+            apart = math.dist((own.x, own.y, own.z), (theirs.x, theirs.y, theirs.z))
+            turned = abs(math.remainder(own.yaw - theirs.yaw, math.tau))
             if apart > _FEET_APART or turned > _FEET_TURNED:
                 raise MessageRefused("feet", f"the {foot.value} foot {apart:.3f} m from its place")
+        if not 0.0 <= plan.swing_height <= _LIFT:
+            raise MessageRefused("reach", f"a foot {plan.swing_height:.3f} m high")
         for phase in plan.phases:
             if phase.footprint is not None:
                 self._check_reach(phase.footprint, feet[other(phase.footprint.foot)])
@@ -151,5 +155,7 @@ class PlanCache:
             own.footholds_x[0] - _ROUNDING <= x <= own.footholds_x[-1] + _ROUNDING
             and own.footholds_y[0] - _ROUNDING <= y <= own.footholds_y[-1] + _ROUNDING
             and turn <= MAX_TURN
+            and abs(goal.z - support.z) <= _CLIMB
         ):
-            raise MessageRefused("reach", f"a footprint at ({x:.3f}, {y:.3f}) m, {turn:.2f} rad")
+            place = f"({x:.3f}, {y:.3f}, {goal.z - support.z:.3f}) m"
+            raise MessageRefused("reach", f"a footprint at {place}, {turn:.2f} rad")

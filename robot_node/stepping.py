@@ -39,6 +39,10 @@ _SETTLING = 0.6
 _MAY_LAND = 0.5
 # A foot that has just landed does not step again for so long [s]; the other one may.
 _SAME_FOOT = 0.25
+# A planned step waits at most so long [s] for a DCM that is further than this from its place [m].
+_WAITS, _NEAR = 0.3, 0.02
+# Rate at which the height of the CoM follows that of the feet [1/s].
+_LEVELLING = 6.0
 
 
 @dataclass(slots=True)
@@ -79,8 +83,9 @@ class ContactClock:
         self.plan: Plan | None = None
         self._config = config.stepping
         self._decision = StepDecision(robot, config)
-        self._stance = self._decision.stance
-        self._omega = self._stance.omega
+        self.stance = self._decision.stance
+        self._omega = self.stance.omega
+        self._lowering = config.walk.com_lowering
         self._standing = Standing(robot).reference(0)
         self.feet = standing_footprints(robot)
         self._ticks_loaded = dict.fromkeys(Foot, 1000)
@@ -89,6 +94,8 @@ class ContactClock:
         self._last_landed: Foot | None = None
         self._offset = np.zeros(2)
         self._com: np.ndarray | None = None
+        # Height of the CoM above that of standing, and its rate.
+        self._level = self._level_rate = 0.0
         self._next_ns = 0
         # The place of the present phase in the plan.
         self._at = 0
@@ -119,7 +126,7 @@ class ContactClock:
         if self.law is None:
             # Not sooner than the foot may still change its goal.
             end = max(swing.begin + duration, self._last_time + self._config.freeze)
-            self._redirect(swing, goal, time=self._last_time, end=end)
+            swing.path = swing.path.retargeted(goal, time=self._last_time, end=end)
 
     def reference(self, measured: Measured, *, time_ns: int, decides: bool = True) -> Reference:
         """Advance the clock to a time of the task. Return the reference then.
@@ -147,7 +154,7 @@ class ContactClock:
             if self._swing is not None and foot is self._swing.foot:
                 continue
             placement = now.sole_placement(foot)
-            x, y, _ = placement.translation.tolist()
+            x, y, z = placement.translation.tolist()
             R = placement.rotation
             turn = math.remainder(math.atan2(R[1, 0], R[0, 0]) - print_.yaw, math.tau)
             self._ticks_loaded[foot] += 1
@@ -157,6 +164,7 @@ class ContactClock:
                 print_.x + share * (x - print_.x),
                 print_.y + share * (y - print_.y),
                 print_.yaw + share * turn,
+                print_.z + share * (z - print_.z),
             )
 
     def _touches(self, forces: dict[Foot, np.ndarray], time: float) -> bool:
@@ -172,7 +180,7 @@ class ContactClock:
         self._ticks_loaded[swing.foot] = 0
         self._last_landed, self._swing = swing.foot, None
         self._enter_phase(time)
-        self._offset = dcm - self._stance.rest_over(self.feet)
+        self._offset = dcm - self.stance.rest_over(self.feet)
 
     def _enter_phase(self, time: float) -> None:
         self.phase += 1
@@ -206,17 +214,16 @@ class ContactClock:
         )
         if step is not None:
             swing.cop = step.cop
-            self._redirect(swing, step.footprint, time=time, end=time + step.remaining)
-
-    def _redirect(self, swing: _Swing, goal: Footprint, *, time: float, end: float) -> None:
-        height = self._config.swing_height
-        swing.path = swing.path.retargeted(goal, time=time, end=end, height=height)
+            end = time + step.remaining
+            swing.path = swing.path.retargeted(step.footprint, time=time, end=end)
 
     def _lift_off(self, balance: Balance, time: float) -> None:
         """Lift a foot if the plan says so now, or if the robot has to step."""
         phase, following = self._planned, self._next_planned
         if phase is not None and following is not None and following.footprint is not None:
-            if time - self._begin >= (phase.end_ns - phase.begin_ns) * 1e-9:
+            late = time - self._begin - (phase.end_ns - phase.begin_ns) * 1e-9
+            waits = late < _WAITS and self._short_of(phase, following.footprint.foot, balance)
+            if late >= 0.0 and not waits:
                 duration = (following.end_ns - following.begin_ns) * 1e-9
                 self._lift_as_planned(following.footprint, duration, balance, time)
             return
@@ -227,6 +234,12 @@ class ContactClock:
         if step is not None:
             self.plan = None
             self._start_swing(step.footprint, time, time + step.remaining, cop=step.cop)
+
+    def _short_of(self, phase: PlannedPhase, lifting: Foot, balance: Balance) -> bool:
+        """Return whether the DCM has still to come nearer to the foot that will bear."""
+        way = self.feet[other(lifting)].position - self.feet[lifting].position
+        left = way.dot(np.array(phase.dcm) - balance.dcm)
+        return bool(left > _NEAR * math.hypot(*way.tolist()))
 
     def _lift_as_planned(
         self, goal: Footprint, duration: float, balance: Balance, time: float
@@ -253,6 +266,8 @@ class ContactClock:
         nominal: tuple[Footprint, float] | None = None,
     ) -> None:
         start, height = self.feet[goal.foot], self._config.swing_height
+        if nominal is not None and self.plan is not None:
+            height = self.plan.swing_height
         path = SwingPath.between(start, goal, begin=time, end=end, height=height)
         planned, duration = (None, None) if nominal is None else nominal
         self._swing = _Swing(goal.foot, time, path, planned, duration, cop)
@@ -275,12 +290,14 @@ class ContactClock:
         # The CoM follows its DCM.
         if self._com is None or (swing is not None and swing.cop is not None):
             self._com = np.array(now.com[:2])
-        self._com += (time - self._last_time) * self._omega * (dcm_ref - self._com)
-        self._last_time = time
+        elapsed, self._last_time = time - self._last_time, time
+        self._com += elapsed * self._omega * (dcm_ref - self._com)
         com, velocity, acceleration = np.zeros((3, 3))
-        com[:2], com[2] = self._com, standing.com[2]
+        com[:2] = self._com
         velocity[:2] = self._omega * (dcm_ref - self._com)
         acceleration[:2] = self._omega**2 * (self._com - cop)
+        acceleration[2] = self._follow_level(elapsed)
+        com[2], velocity[2] = standing.com[2] + self._level, self._level_rate
         return Reference(
             com=com,
             com_velocity=velocity,
@@ -292,6 +309,20 @@ class ContactClock:
             com_command=command,
         )
 
+    def _follow_level(self, elapsed: float) -> float:
+        """Let the CoM follow the mean height of the feet. Return its vertical acceleration.
+
+        Of a foot in the air that is the height of its goal.
+        """
+        feet, swing = self.feet, self._swing
+        if swing is not None:
+            feet = feet | {swing.foot: swing.path.goal}
+        above = sum(each.z for each in feet.values()) / 2 - self._lowering - self._level
+        rate = _LEVELLING**2 * above - 2.0 * _LEVELLING * self._level_rate
+        self._level_rate += elapsed * rate
+        self._level += elapsed * self._level_rate
+        return rate
+
     def _planned_dcm(self, time: float) -> tuple[np.ndarray, np.ndarray]:
         """The DCM and the CoP of the plan, or of the stand, at a time."""
         phase = self._planned
@@ -301,5 +332,5 @@ class ContactClock:
             cop = np.array(phase.cop)
             return cop + (np.array(phase.dcm) - cop) * math.exp(self._omega * left), cop
         offset = self._offset * math.exp(-since / _SETTLING)
-        dcm: np.ndarray = self._stance.rest_over(self.feet) + offset
+        dcm: np.ndarray = self.stance.rest_over(self.feet) + offset
         return dcm, dcm + offset / (self._omega * _SETTLING)

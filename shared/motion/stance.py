@@ -31,15 +31,15 @@ class Stance:
     cop_in_sole: tuple[float, float]
 
     @staticmethod
-    def of(robot: Robot) -> Stance:
-        """The stance of a robot's standing posture."""
+    def of(robot: Robot, *, lowering: float = 0.0) -> Stance:
+        """The stance of a robot's standing posture, with the CoM lower by `lowering` [m]."""
         com = pin.centerOfMass(robot.model, robot.model.createData(), robot.q_standing)
         feet = standing_footprints(robot)
         x, y, _ = middle(feet)
         left, right = feet[Foot.LEFT], feet[Foot.RIGHT]
         sole_x = robot.soles[0].x
         return Stance(
-            com_height=float(com[2]),
+            com_height=float(com[2]) - lowering,
             width=left.y - right.y,
             rest=(float(com[0]) - x, float(com[1]) - y),
             cop_in_sole=(sum(sole_x) / 2, 0.0),

@@ -76,7 +76,7 @@ class StepDecision:
     """The decisions of one robot."""
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
-        self.stance = Stance.of(robot)
+        self.stance = Stance.of(robot, lowering=config.walk.com_lowering)
         self._config = config.stepping
         self._gain = config.wbc.balance.gain
         self._corners = {sole.side: sole.corners() for sole in robot.soles}
@@ -110,8 +110,11 @@ class StepDecision:
         axes = np.array(((c, s), (-side * s, side * c)))
         origin = support.position
         goal, yaw = np.array((0.0, law.width)), support.yaw
+        # Of ground that nobody knows the lower one: to land early is safe, to land late is not.
+        z = min(each.z for each in balance.feet.values())
         if in_air.nominal is not None:
-            goal, yaw = axes @ (in_air.nominal.position - origin), in_air.nominal.yaw
+            goal = axes @ (in_air.nominal.position - origin)
+            yaw, z = in_air.nominal.yaw, in_air.nominal.z
         motion = in_air.motion @ axes.T
         motion[0] -= axes @ origin
         choice = choose_step(
@@ -133,7 +136,7 @@ class StepDecision:
             return None
         x, y = origin + choice.foothold @ axes
         return Step(
-            Footprint(in_air.foot, float(x), float(y), yaw),
+            Footprint(in_air.foot, float(x), float(y), yaw, z),
             choice.remaining,
             origin + choice.cop @ axes,
             origin + choice.dcm_at_end @ axes,

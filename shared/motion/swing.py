@@ -64,6 +64,9 @@ def swing(
 
 # The downward speed at which a foot that may land at any height meets the ground [m/s].
 _LANDING_SPEED = 0.15
+# A foot that is late goes down faster and faster [m/s³] for so long [s]: each tick that it misses
+# the ground, the DCM runs on.
+_FASTER, _FASTER_FOR = 80.0, 0.08
 # Part of the swing after which the foot is highest.
 _HIGHEST_AT = 0.45
 # Where the acceleration of a quintic is largest, in parts of its time.
@@ -89,13 +92,15 @@ class SwingPath:
     """The way of a foot in the air to a goal that may still change, continuous in acceleration.
 
     From `begin` the axes (x, y, z, heading) follow quintics with `coefficients` (6, 4). From
-    `highest` the height follows `descent` (6,) instead. After `end` the foot goes on down.
+    `highest` the height follows `descent` (6,) instead, down from `top` [m]. After `end` the foot
+    goes on down.
     """
 
     lift_off: float
     begin: float
     highest: float
     end: float
+    top: float
     coefficients: np.ndarray
     descent: np.ndarray
     goal: Footprint
@@ -104,15 +109,19 @@ class SwingPath:
     def between(
         start: Footprint, goal: Footprint, *, begin: float, end: float, height: float
     ) -> SwingPath:
-        """The path of a foot that lifts at `begin` and lands at `end` [s]."""
-        at_rest = np.zeros((3, 4))
-        at_rest[0] = start.x, start.y, 0.0, start.yaw
-        return _path(at_rest, goal, lift_off=begin, begin=begin, end=end, height=height)
+        """The path of a foot that lifts at `begin` and lands at `end` [s].
 
-    def retargeted(self, goal: Footprint, *, time: float, end: float, height: float) -> SwingPath:
+        `height` is above the higher one of the two footprints [m].
+        """
+        at_rest = np.zeros((3, 4))
+        at_rest[0] = start.x, start.y, start.z, start.yaw
+        top = max(start.z, goal.z) + height
+        return _path(at_rest, goal, lift_off=begin, begin=begin, end=end, top=top)
+
+    def retargeted(self, goal: Footprint, *, time: float, end: float) -> SwingPath:
         """The path that leaves this one at `time` and lands on `goal` at `end`."""
-        state = self._axes(time)
-        return _path(state, goal, lift_off=self.lift_off, begin=time, end=end, height=height)
+        state, top = self._axes(time), self.top + max(0.0, goal.z - self.goal.z)
+        return _path(state, goal, lift_off=self.lift_off, begin=time, end=end, top=top)
 
     def state(self, time: float) -> SwingState:
         """The foot at `time` [s]."""
@@ -127,7 +136,13 @@ class SwingPath:
         if time >= self.highest:
             axes[:, 2] = _powers(min(time, self.end) - self.highest).dot(self.descent)
         if time > self.end:
-            axes[0, 2] -= _LANDING_SPEED * (time - self.end)
+            late = min(time - self.end, _FASTER_FOR)
+            faster = 0.5 * _FASTER * late**2
+            axes[0, 2] -= _LANDING_SPEED * (time - self.end) + _FASTER * late**3 / 6.0
+            axes[0, 2] -= faster * (time - self.end - late)
+            axes[1, 2] -= faster
+            if time < self.end + _FASTER_FOR:
+                axes[2, 2] -= _FASTER * late
         return axes
 
 
@@ -165,20 +180,20 @@ def _quintic_through(start: np.ndarray, end: np.ndarray, duration: float) -> np.
 
 
 def _path(
-    state: np.ndarray, goal: Footprint, *, lift_off: float, begin: float, end: float, height: float
+    state: np.ndarray, goal: Footprint, *, lift_off: float, begin: float, end: float, top: float
 ) -> SwingPath:
-    """The path from a state (3, 4) at `begin` to a footprint at `end`."""
+    """The path from a state (3, 4) at `begin` over the height `top` to a footprint at `end`."""
     yaw = state[0, 3] + math.remainder(goal.yaw - state[0, 3], math.tau)
     landed = np.zeros((3, 4))
-    landed[0] = goal.x, goal.y, 0.0, yaw
+    landed[0] = goal.x, goal.y, goal.z, yaw
     coefficients = _quintic_through(state, landed, end - begin)
-    down = np.array([0.0, -_LANDING_SPEED, 0.0])
+    down = np.array([goal.z, -_LANDING_SPEED, 0.0])
     highest = lift_off + _HIGHEST_AT * (end - lift_off)
     if highest - begin > 0.02:
-        top = np.array([height, 0.0, 0.0])
-        coefficients[:, 2] = _quintic_through(state[:, 2], top, highest - begin)
-        descent = _quintic_through(top, down, end - highest)
+        turning = np.array([top, 0.0, 0.0])
+        coefficients[:, 2] = _quintic_through(state[:, 2], turning, highest - begin)
+        descent = _quintic_through(turning, down, end - highest)
     else:
         highest = begin
         descent = _quintic_through(state[:, 2], down, end - begin)
-    return SwingPath(lift_off, begin, highest, end, coefficients, descent, goal)
+    return SwingPath(lift_off, begin, highest, end, top, coefficients, descent, goal)

@@ -488,9 +488,9 @@ def _check_size(kind: str, size: int, max_bytes: int) -> None:
         )
 
 
-# The two soles (x, y, heading), then position, velocity, acceleration and heading with its first
+# The two soles (x, y, heading, z), then position, velocity, acceleration and heading with its first
 # and second derivative of the foot in the air, then the disturbance.
-_POSES = 6 + 12 + 2
+_POSES = 8 + 12 + 2
 _STEP_SLOTS = {
     "phase": INTEGER,
     "phase_ns": INTEGER,
@@ -504,11 +504,11 @@ def _step_values(steps: StepReport) -> tuple[int | bytes, ...]:
     """The values of a report in its slots."""
     poses = np.zeros(_POSES)
     for k, print_ in enumerate(steps.feet):
-        poses[3 * k : 3 * k + 3] = print_.x, print_.y, print_.yaw
+        poses[4 * k : 4 * k + 4] = print_.x, print_.y, print_.yaw, print_.z
     if (swing := steps.swing) is not None:
-        poses[6:15] = np.concatenate((swing.position, swing.velocity, swing.acceleration))
-        poses[15:18] = swing.yaw, swing.yaw_rate, swing.yaw_acceleration
-    poses[18:] = steps.disturbance
+        poses[8:17] = np.concatenate((swing.position, swing.velocity, swing.acceleration))
+        poses[17:20] = swing.yaw, swing.yaw_rate, swing.yaw_acceleration
+    poses[20:] = steps.disturbance
     return (
         steps.phase,
         steps.phase_ns,
@@ -525,12 +525,12 @@ def _steps_of(
     numbers = _finite(poses, _SINGLE)
     if numbers is None or min(phase, phase_ns, law, plan + 1) < 0:
         return None
-    left, right = numbers[:3].tolist(), numbers[3:6].tolist()
+    left, right = numbers[:4].tolist(), numbers[4:8].tolist()
     swing = None
     if mode is not ContactMode.DOUBLE_SUPPORT:
-        swing = SwingState(numbers[6:9], numbers[9:12], numbers[12:15], *numbers[15:18].tolist())
+        swing = SwingState(numbers[8:11], numbers[11:14], numbers[14:17], *numbers[17:20].tolist())
     feet = (Footprint(Foot.LEFT, *left), Footprint(Foot.RIGHT, *right))
-    return StepReport(phase, phase_ns, plan, law, feet, swing, numbers[18:])
+    return StepReport(phase, phase_ns, plan, law, feet, swing, numbers[20:])
 
 
 def _steps(fields: Any, mode: ContactMode) -> StepReport:

@@ -42,8 +42,10 @@ _ARRAYS = {
 }
 _LENGTHS = {"t": (1, 16), "u": (3, 65), "p": (3, 15), "2": (2, 2), "d": (3, 129)}
 _ASCENDING = ("times", "footholds_x", "footholds_y", "cops_x", "cops_y", "offsets")
-# Numbers of a phase: duration [s], x, y and heading of the footprint, CoP, DCM.
-_PHASE_NUMBERS = 8
+# Numbers of a phase: duration [s], x, y, heading and z of the footprint, CoP, DCM.
+_PHASE_NUMBERS = 9
+# At the begin: x, y, heading and z of both soles, the CoM. Then the height of the foot in the air.
+_START_NUMBERS = 11
 
 
 def law_identity(law: StepLaw) -> int:
@@ -124,18 +126,22 @@ def _plan_fields(plan: Plan) -> dict[str, Any]:
     numbers = []
     for phase in plan.phases:
         print_ = phase.footprint
-        pose = (0.0, 0.0, 0.0) if print_ is None else (print_.x, print_.y, print_.yaw)
+        pose = (0.0, 0.0, 0.0, 0.0) if print_ is None else _pose(print_)
         duration = (phase.end_ns - phase.begin_ns) * 1e-9
         numbers.append((duration, *pose, *phase.cop, *phase.dcm))
-    feet = [(each.x, each.y, each.yaw) for each in plan.feet]
+    start = (*_pose(plan.feet[0]), *_pose(plan.feet[1]), *plan.com, plan.swing_height)
     return {
         "number": plan.number,
         "phase": plan.origin.phase,
         "valid_until_ns": plan.valid_until_ns,
         "modes": bytes(int(phase.mode) for phase in plan.phases),
         "phases": np.array(numbers, _SINGLE).tobytes(),
-        "start": np.array([*feet[0], *feet[1], *plan.com], _SINGLE).tobytes(),
+        "start": np.array(start, _SINGLE).tobytes(),
     }
+
+
+def _pose(print_: Footprint) -> tuple[float, float, float, float]:
+    return print_.x, print_.y, print_.yaw, print_.z
 
 
 def _plan(fields: dict[str, Any], session: int, sequence: int) -> Plan:
@@ -145,25 +151,26 @@ def _plan(fields: dict[str, Any], session: int, sequence: int) -> Plan:
     if any(mode not in list(ContactMode) for mode in modes):
         raise MessageRefused("mode", repr(modes))
     numbers = array_of(fields, "phases", (len(modes), _PHASE_NUMBERS), dtype=_SINGLE)
-    start = array_of(fields, "start", (8,), dtype=_SINGLE).tolist()
+    start = array_of(fields, "start", (_START_NUMBERS,), dtype=_SINGLE).tolist()
     if (numbers[:, 0] <= 0.0).any() or (numbers[:, 0] > 60.0).any():
         raise MessageRefused("shape", "phases, of which one lasts no time or more than 60 s")
     phases, begin_ns = [], 0
     for mode, row in zip((ContactMode(each) for each in modes), numbers.tolist(), strict=True):
-        duration, x, y, yaw, *points = row
+        duration, *pose = row[:5]
         end_ns = begin_ns + round(duration * 1e9)
         footprint = None
         if mode is not ContactMode.DOUBLE_SUPPORT:
             foot = next(each for each, during in SUPPORT_MODE.items() if during is mode)
-            footprint = Footprint(foot, x, y, yaw)
-        cop, dcm = (points[0], points[1]), (points[2], points[3])
+            footprint = Footprint(foot, *pose)
+        cop, dcm = (row[5], row[6]), (row[7], row[8])
         phases.append(PlannedPhase(mode, begin_ns, end_ns, footprint, cop, dcm))
         begin_ns = end_ns
     return Plan(
         number=integer_of(fields, "number"),
         origin=PlanOrigin(session, sequence, integer_of(fields, "phase")),
         valid_until_ns=integer_of(fields, "valid_until_ns"),
-        feet=(Footprint(Foot.LEFT, *start[0:3]), Footprint(Foot.RIGHT, *start[3:6])),
-        com=(start[6], start[7]),
+        feet=(Footprint(Foot.LEFT, *start[0:4]), Footprint(Foot.RIGHT, *start[4:8])),
+        com=(start[8], start[9]),
         phases=tuple(phases),
+        swing_height=start[10],
     )

@@ -74,6 +74,18 @@ def test_a_walk_goes_by_plans_and_touch():
     assert (left.x + right.x) / 2 == pytest.approx(0.21, abs=0.06)
 
 
+def test_a_walk_goes_over_blocks_that_no_plan_knows():
+    """Heights within ± 2 cm. A foot lands early on a high block, and late on a low one."""
+    settings = {"wbc.weights.com": 100.0, "wbc.weights.swing_foot": 10.0, "walk.com_lowering": 0.03}
+    ground = {"plant.unknown_ground": "blocks:2cm", "seed": 4, "walk.steps": 5}
+    lockstep, result = play(**{**WALK, **settings, **ground}, duration=3.6)
+    assert not result.summary["fell"]
+    assert lockstep.robot.clock.phase >= 8
+    # The toes of both are on blocks.
+    assert min(foot.x for foot in lockstep.robot.clock.feet.values()) > 0.1
+    assert max(abs(foot.z) for foot in lockstep.robot.clock.feet.values()) > 5e-3
+
+
 def test_a_walk_whose_link_dies_ends_in_a_stand():
     lockstep, result = play(**WALK, duration=2.8, **{"link.outage": ["cut@900ms"]})
     assert not result.summary["fell"]

@@ -140,6 +140,9 @@ def moved(plan, **changes):
         (lambda plan: moved(plan, y=0.0), "reach"),
         (lambda plan: moved(plan, y=-0.6), "reach"),
         (lambda plan: moved(plan, yaw=1.0), "reach"),
+        (lambda plan: moved(plan, z=0.2), "reach"),
+        (lambda plan: dataclasses.replace(plan, swing_height=0.5), "reach"),
+        (lambda plan: dataclasses.replace(plan, swing_height=-0.1), "reach"),
         (
             lambda plan: dataclasses.replace(
                 plan, phases=(dataclasses.replace(plan.phases[0], cop=(5.0, 0.0)), *plan.phases[1:])

@@ -40,7 +40,7 @@ def law(robot):
 
 
 def a_plan(n_steps=1):
-    goal = Footprint(Foot.RIGHT, 0.25, -0.125, 0.5)
+    goal = Footprint(Foot.RIGHT, 0.25, -0.125, 0.5, 0.0625)
     phases = []
     for k in range(n_steps):
         begin = k * 600_000_000
@@ -56,9 +56,13 @@ def a_plan(n_steps=1):
         number=7,
         origin=PlanOrigin(session=3, sequence=11, phase=4),
         valid_until_ns=5_000,
-        feet=(Footprint(Foot.LEFT, 0.0, 0.125, 0.0), Footprint(Foot.RIGHT, 0.0, -0.125, 0.0)),
+        feet=(
+            Footprint(Foot.LEFT, 0.0, 0.125, 0.0, -0.25),
+            Footprint(Foot.RIGHT, 0.0, -0.125, 0.0, 0.5),
+        ),
         com=(0.03125, 0.0),
         phases=tuple(phases),
+        swing_height=0.0625,
     )
 
 
@@ -73,6 +77,7 @@ def test_a_plan_is_the_same_at_the_other_end(codec):
     plan, same = sent.content, received.content
     assert (same.number, same.origin, same.valid_until_ns) == (7, plan.origin, 5_000)
     assert (same.feet, same.com) == (plan.feet, plan.com)
+    assert same.swing_height == plan.swing_height
     for ours, theirs in zip(plan.phases, same.phases, strict=True):
         # Durations are in single precision: 600 ms to 24 ns.
         assert abs(ours.end_ns - theirs.end_ns) < 100
@@ -103,8 +108,8 @@ def test_the_longest_plan_and_the_law_fit_their_channel(codec, law):
         ({"modes": b"\x00\x01\x07"}, "mode"),
         ({"modes": b"\x00\x01"}, "shape"),
         ({"number": "7"}, "shape"),
-        ({"phases": np.full((3, 8), np.nan, np.float32).tobytes()}, "not_finite"),
-        ({"phases": np.full((3, 8), -1.0, np.float32).tobytes()}, "shape"),
+        ({"phases": np.full((3, 9), np.nan, np.float32).tobytes()}, "not_finite"),
+        ({"phases": np.full((3, 9), -1.0, np.float32).tobytes()}, "shape"),
         ({"start": None}, "shape"),
     ],
 )
