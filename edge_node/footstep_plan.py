@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -55,6 +56,23 @@ class FootstepBuilder:
             width=width or self._config.step_width or self.stance.width,
         )
         return self._plan(state, state.steps, footprints, com=com, number=number)
+
+    def along(
+        self,
+        state: RobotState,
+        footprints: list[Footprint],
+        *,
+        com: np.ndarray,
+        number: int,
+        swing_height: float,
+    ) -> Plan:
+        """Return the plan over given footprints from a state with a report on.
+
+        `com` is as for a `Planner`, `swing_height` is over the higher footprint of a step [m].
+        """
+        assert state.steps is not None
+        plan = self._plan(state, state.steps, footprints, com=com, number=number)
+        return dataclasses.replace(plan, swing_height=swing_height)
 
     def _plan(
         self,
@@ -158,7 +176,7 @@ def footsteps(
             for foot, each in feet.items()
         }
         swing = min(behind, key=lambda foot: behind[foot])
-    # Of ground that nobody knows the lower one: to land early is safe, to land late is not.
+    # On unknown ground the lower one: to land early is safe, to land late is not.
     lowest = min(each.z for each in feet.values())
     made = []
     for k in range(steps):

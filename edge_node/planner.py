@@ -6,6 +6,7 @@ phase on, or None if the robot shall stand. The robot's step law moves the foots
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Protocol
@@ -13,8 +14,12 @@ from typing import Protocol
 import numpy as np
 
 from edge_node.footstep_plan import VALID_NS, FootstepBuilder
+from shared.config.quantities import parse_ground
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError
+from shared.motion.footstep_search import NoFootstepsError, find_footsteps
+from shared.motion.footsteps import standing_footprints
+from shared.motion.ground import make_ground
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin
 from shared.motion.stance import middle
 from shared.motion.step_decision import Balance, InAir, StepDecision
@@ -35,6 +40,8 @@ _VELOCITY_STEPS = 4
 _MOST = (0.15, 0.06, math.radians(15.0))
 # A robot as near to its goal is there [m, rad].
 _AT_GOAL, _TURNED_TO_GOAL = 0.03, math.radians(4.0)
+# Feet as near to the footprints of a way are on it [m].
+_ON_WAY = 0.04
 
 
 @dataclass(frozen=True)
@@ -255,6 +262,73 @@ class PathPlanner:
         return part, min(n + 1, _MAX_STEPS)
 
 
+class GroundPlanner:
+    """Steps to a goal over a known ground, by the search of `shared/motion/footstep_search.py`.
+
+    The way is searched again from where the feet are, if they are not on it. The robot stands if
+    there is no way.
+    """
+
+    reacts = False
+
+    def __init__(self, robot: Robot, config: RunConfig) -> None:
+        self._build = FootstepBuilder(robot, config)
+        self._ground = make_ground(config.ground, seed=config.seed)
+        self._robot = robot
+        self._walk = config.walk
+        self._start = standing_footprints(robot)
+        self._steps = find_footsteps(robot, config.walk, self._ground, config.walk.place)
+
+    def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
+        report = state.steps
+        if report is None:
+            return None
+        done = self._done(report)
+        if state.mode is ContactMode.DOUBLE_SUPPORT and done is None:
+            self._search(report)
+            done = 0
+        if done is None:
+            return None
+        left = self._steps[done:][:_MAX_STEPS]
+        in_air = state.mode is not ContactMode.DOUBLE_SUPPORT
+        if not left or (in_air and SUPPORT_MODE[left[0].swing_foot] is not state.mode):
+            return None
+        return self._build.along(
+            state,
+            [step.goal for step in left],
+            com=com,
+            number=number,
+            swing_height=self._walk.swing_height + max(step.obstacle for step in left),
+        )
+
+    def _done(self, report: StepReport) -> int | None:
+        """Return how many steps of the way bring the feet where they are; None if none do."""
+        feet = dict(self._start)
+        places = [dict(feet)]
+        for step in self._steps:
+            feet[step.swing_foot] = step.goal
+            places.append(dict(feet))
+        for done in range(len(places) - 1, -1, -1):
+            at = places[done]
+            if all(
+                math.dist(each.position, at[each.foot].position) < _ON_WAY for each in report.feet
+            ):
+                return done
+        return None
+
+    def _search(self, report: StepReport) -> None:
+        left, right = (
+            dataclasses.replace(each, z=self._ground.height(each.x, each.y)) for each in report.feet
+        )
+        self._start = {each.foot: each for each in (left, right)}
+        try:
+            self._steps = find_footsteps(
+                self._robot, self._walk, self._ground, self._walk.place, start=(left, right)
+            )
+        except NoFootstepsError:
+            self._steps = ()
+
+
 def _bounded(advance: tuple[float, float, float]) -> tuple[float, float, float]:
     """The same advance, made smaller as a whole so that each part is within what a step can do."""
     ratio = max(1.0, *(abs(each) / most for each, most in zip(advance, _MOST, strict=True)))
@@ -269,6 +343,8 @@ def make_planner(robot: Robot, config: RunConfig, law: StepLaw) -> Planner:
     if config.task == "walk":
         return WalkPlanner(robot, config)
     if config.task == "go":
+        if parse_ground(config.ground).kind != "flat":
+            return GroundPlanner(robot, config)
         planner = PathPlanner(robot, config)
         place = config.walk.place
         planner.goal = (place.x, place.y, place.yaw)

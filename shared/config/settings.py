@@ -638,10 +638,10 @@ class RunConfig:
             raise ConfigError(
                 f"stepping.mode: expected the task balance, walk or go, got {self.task!r}"
             )
-        if parse_ground(self.ground).kind != "flat":
+        if parse_ground(self.ground).kind != "flat" and self.task != "go":
             raise ConfigError(
-                "ground: expected flat for a robot that decides on its steps, because its plans "
-                f"have no heights, got {self.ground!r}; try --unknown-ground, or --stepping off"
+                "ground: expected flat for a robot that decides on its steps in the task "
+                f"{self.task}, got {self.ground!r}; try --task go, or --unknown-ground"
             )
 
     @cached_property

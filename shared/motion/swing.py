@@ -67,8 +67,9 @@ _LANDING_SPEED = 0.15
 # A foot that is late goes down faster and faster [m/s³] for so long [s]: each tick that it misses
 # the ground, the DCM runs on.
 _FASTER, _FASTER_FOR = 80.0, 0.08
-# Part of the swing after which the foot is highest.
-_HIGHEST_AT = 0.45
+# Part of the swing after which the foot is highest: on level ground, up a stair and down one. So
+# the foot passes above the edge. A stair is higher than the last number [m].
+_HIGHEST_AT, _HIGHEST_UP, _HIGHEST_DOWN, _STAIR = 0.45, 0.3, 0.6, 0.03
 # Where the acceleration of a quintic is largest, in parts of its time.
 PEAK_SAMPLES = (0.1, 0.21, 0.4, 0.6, 0.79)
 
@@ -92,8 +93,8 @@ class SwingPath:
     """The way of a foot in the air to a goal that may still change, continuous in acceleration.
 
     From `begin` the axes (x, y, z, heading) follow quintics with `coefficients` (6, 4). From
-    `highest` the height follows `descent` (6,) instead, down from `top` [m]. After `end` the foot
-    goes on down.
+    `highest`, after that `share` of the swing, the height follows `descent` (6,) instead, down from
+    `top` [m]. After `end` the foot goes on down.
     """
 
     lift_off: float
@@ -101,6 +102,7 @@ class SwingPath:
     highest: float
     end: float
     top: float
+    share: float
     coefficients: np.ndarray
     descent: np.ndarray
     goal: Footprint
@@ -116,12 +118,18 @@ class SwingPath:
         at_rest = np.zeros((3, 4))
         at_rest[0] = start.x, start.y, start.z, start.yaw
         top = max(start.z, goal.z) + height
-        return _path(at_rest, goal, lift_off=begin, begin=begin, end=end, top=top)
+        climb = goal.z - start.z
+        share = _HIGHEST_AT
+        if abs(climb) > _STAIR:
+            share = _HIGHEST_UP if climb > 0.0 else _HIGHEST_DOWN
+        return _path(at_rest, goal, lift_off=begin, begin=begin, end=end, top=top, share=share)
 
     def retargeted(self, goal: Footprint, *, time: float, end: float) -> SwingPath:
         """The path that leaves this one at `time` and lands on `goal` at `end`."""
         state, top = self._axes(time), self.top + max(0.0, goal.z - self.goal.z)
-        return _path(state, goal, lift_off=self.lift_off, begin=time, end=end, top=top)
+        return _path(
+            state, goal, lift_off=self.lift_off, begin=time, end=end, top=top, share=self.share
+        )
 
     def state(self, time: float) -> SwingState:
         """The foot at `time` [s]."""
@@ -180,15 +188,25 @@ def _quintic_through(start: np.ndarray, end: np.ndarray, duration: float) -> np.
 
 
 def _path(
-    state: np.ndarray, goal: Footprint, *, lift_off: float, begin: float, end: float, top: float
+    state: np.ndarray,
+    goal: Footprint,
+    *,
+    lift_off: float,
+    begin: float,
+    end: float,
+    top: float,
+    share: float,
 ) -> SwingPath:
-    """The path from a state (3, 4) at `begin` over the height `top` to a footprint at `end`."""
+    """The path from a state (3, 4) at `begin` over the height `top` to a footprint at `end`.
+
+    The foot is highest after that `share` of the swing.
+    """
     yaw = state[0, 3] + math.remainder(goal.yaw - state[0, 3], math.tau)
     landed = np.zeros((3, 4))
     landed[0] = goal.x, goal.y, goal.z, yaw
     coefficients = _quintic_through(state, landed, end - begin)
     down = np.array([goal.z, -_LANDING_SPEED, 0.0])
-    highest = lift_off + _HIGHEST_AT * (end - lift_off)
+    highest = lift_off + share * (end - lift_off)
     if highest - begin > 0.02:
         turning = np.array([top, 0.0, 0.0])
         coefficients[:, 2] = _quintic_through(state[:, 2], turning, highest - begin)
@@ -196,4 +214,4 @@ def _path(
     else:
         highest = begin
         descent = _quintic_through(state[:, 2], down, end - begin)
-    return SwingPath(lift_off, begin, highest, end, top, coefficients, descent, goal)
+    return SwingPath(lift_off, begin, highest, end, top, share, coefficients, descent, goal)

@@ -24,7 +24,7 @@ from shared.wire.messages import PlanMessage
 
 _PLAN, _LAW = "step_plan", "step_law"
 MAX_PHASES = 40
-_MAX_NO_GO = 16
+MAX_NO_GO = 16
 _SINGLE = np.dtype("<f4")
 # Arrays of a law, with the lengths that they share.
 _ARRAYS = {
@@ -61,7 +61,8 @@ def as_sent(law: StepLaw) -> StepLaw:
     """Return a law as the other end will see it, in single precision."""
     arrays = {name: getattr(law, name).astype(_SINGLE).astype(np.float64) for name in _ARRAYS}
     omega, width = np.array((law.omega, law.width), _SINGLE).astype(float).tolist()
-    return dataclasses.replace(law, omega=omega, width=width, **arrays)
+    no_go = _boxes(np.array([[*box.x, *box.y] for box in law.no_go], _SINGLE))
+    return dataclasses.replace(law, omega=omega, width=width, no_go=no_go, **arrays)
 
 
 class PlanCodec:
@@ -115,11 +116,14 @@ def _law(fields: dict[str, Any]) -> StepLaw:
     omega, width = array_of(fields, "pendulum", (2,), dtype=_SINGLE).tolist()
     data = fields.get("no_go")
     n = len(data) // (4 * _SINGLE.itemsize) if isinstance(data, bytes) else -1
-    if not 0 <= n <= _MAX_NO_GO:
+    if not 0 <= n <= MAX_NO_GO:
         raise MessageRefused("shape", "no_go")
-    boxes = array_of(fields, "no_go", (n, 4), dtype=_SINGLE).tolist()
-    no_go = tuple(NoGo((x_0, x_1), (y_0, y_1)) for x_0, x_1, y_0, y_1 in boxes)
+    no_go = _boxes(array_of(fields, "no_go", (n, 4), dtype=_SINGLE))
     return StepLaw(omega=omega, width=width, no_go=no_go, **arrays)
+
+
+def _boxes(corners: np.ndarray) -> tuple[NoGo, ...]:
+    return tuple(NoGo((x_0, x_1), (y_0, y_1)) for x_0, x_1, y_0, y_1 in corners.tolist())
 
 
 def _plan_fields(plan: Plan) -> dict[str, Any]:

@@ -481,7 +481,7 @@ STEPPING = {"stepping.mode": "on", "wbc.balance.law": "dcm"}
     [
         ({"stepping.mode": "on"}, "expected wbc"),
         ({**STEPPING, "plant.kind": "rigid"}, "expected mujoco"),
-        ({**STEPPING, "task": "go", "ground": "stairs:3x6cm"}, "expected flat"),
+        ({**STEPPING, "task": "balance", "ground": "stairs:3x6cm"}, "expected flat"),
     ],
 )
 def test_a_robot_that_cannot_step_as_asked_is_refused(asked, error):
