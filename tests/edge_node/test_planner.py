@@ -16,6 +16,7 @@ from edge_node.planner import (
     make_planner,
 )
 from shared.motion.footsteps import standing_footprints
+from shared.motion.ground import make_ground
 from shared.motion.planned import PlannedMotion
 from shared.motion.stance import Stance, middle
 from shared.motion.step_law import make_step_law
@@ -196,3 +197,36 @@ def test_in_place_the_feet_take_turns(robot, configured, landed):
     first, second, *_ = plan.footprints()
     assert second.foot is landed
     assert first.foot is not landed
+
+
+def test_over_a_known_ground_the_plan_has_the_heights_of_the_stairs(robot, configured):
+    config = configured(
+        **{
+            "task": "go",
+            "ground": "stairs:3x6cm",
+            "duration": 20.0,
+            "walk.goal": "0.6,0",
+            "walk.step_length": 0.35,
+            "walk.com_lowering": 0.03,
+            "stepping.mode": "on",
+            "wbc.balance.law": "dcm",
+        }
+    )
+    planner = make_planner(robot, config, make_step_law(robot, Stance.of(robot)))
+    plan = planner.plan(state(robot), com=at_rest(robot), number=0)
+    ground = make_ground("stairs:3x6cm", seed=0)
+    prints = plan.footprints()
+    heights = [each.z for each in prints]
+    assert heights == pytest.approx([ground.height(each.x, each.y) for each in prints])
+    assert max(heights) == pytest.approx(0.12)
+    # A step further on the way, the rest of it is planned.
+    feet = standing_footprints(robot) | {prints[0].foot: prints[0]}
+    rest = planner.plan(state(robot, phase=2, feet=feet), com=at_rest(robot, feet), number=1)
+    assert rest.footprints() == prints[1:]
+    # Off the way it is searched again, from where the feet are.
+    feet = {
+        foot: dataclasses.replace(each, y=each.y + 0.08)
+        for foot, each in standing_footprints(robot).items()
+    }
+    other = planner.plan(state(robot, phase=2, feet=feet), com=at_rest(robot, feet), number=2)
+    assert ends(other) == pytest.approx((*ends(plan)[:2], 0.0), abs=1e-6)
