@@ -9,12 +9,15 @@ from __future__ import annotations
 import functools
 import os
 import signal
+import socket
 import subprocess
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
+
+import pytest
 
 from benchmarks.real_path.namespaces import Machine
 from shared.process.entry import python
@@ -185,6 +188,30 @@ class Process:
         self._reader.join(timeout=PATIENCE_SECONDS)
         assert self.popen.stdout is not None
         self.popen.stdout.close()
+
+
+def refuses_another_user(address: Path, *, reachable: Path) -> bool:
+    """Return whether a Unix socket refuses a user who can reach the folder `reachable`.
+
+    Skip the test if this user is not root, who alone can act as another one.
+    """
+    if os.geteuid() != 0:
+        pytest.skip("only root can act as another user")
+    child = os.fork()
+    if child == 0:
+        code = 1
+        os.setuid(65534)
+        try:
+            os.stat(reachable / ".")
+            socket.socket(socket.AF_UNIX).connect(str(address))
+        except PermissionError as error:
+            # That of `stat` has a file name.
+            code = 0 if error.filename is None else 2
+        finally:
+            os._exit(code)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code in (0, 1), f"another user cannot reach {reachable}"
+    return code == 0
 
 
 def descendants_naming(text: str) -> list[int]:

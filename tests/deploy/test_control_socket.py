@@ -19,7 +19,7 @@ from deploy.background.state import StackFolder
 from shared.errors import ConfigError, LinkError
 from shared.process.entry import python
 from shared.wire.operator.commands import Accepted, Cut, Restore
-from tests.processes import played
+from tests.processes import played, refuses_another_user
 
 # Modules that take long to load, and that no command to a running stack needs.
 HEAVY = (
@@ -126,31 +126,19 @@ def test_of_a_flood_of_requests_few_wait_and_the_others_are_refused(
     asyncio.run(play())
 
 
-def test_another_user_cannot_reach_the_control_socket(stack: StackFolder, tmp_path: Path) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("only root can act as another user")
-    for folder in (tmp_path, *tmp_path.parents[:2]):
-        folder.chmod(0o755)
+def test_another_user_cannot_reach_the_control_socket(open_folder: Path) -> None:
+    stack = StackFolder(open_folder / "run")
+    (open_folder / "run").mkdir(mode=0o755)
+    stack.claim().close()
 
     async def command(text: str) -> dict[str, Any]:
         return {"time_ns": 0, "note": ""}
 
-    async def play() -> int:
+    async def play() -> None:
         async with served(stack, command):
-            child = os.fork()
-            if child == 0:
-                os.setuid(65534)
-                try:
-                    os.stat(tmp_path)
-                    socket.socket(socket.AF_UNIX).connect(str(stack.control))
-                except PermissionError as error:
-                    os._exit(0 if error.filename is None else 2)
-                except BaseException:
-                    os._exit(2)
-                os._exit(1)
-            return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+            assert refuses_another_user(stack.control, reachable=open_folder)
 
-    assert asyncio.run(play()) == 0
+    asyncio.run(play())
 
 
 @pytest.mark.parametrize("command", ["push 120N +y", "link cut", "go 1 0 90deg", "pause"])
