@@ -16,7 +16,7 @@ from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
 
 # A plan is of use for so long after its state [ns].
-VALID_NS = 1_000_000_000
+_VALID_NS = 1_000_000_000
 # A robot on both feet for longer than between two steps stands [s].
 _STANDS = 0.2
 # The CoP of a weight shift is at most as far from the DCM [m].
@@ -135,15 +135,33 @@ class FootstepBuilder:
             points = (float(at[0]), float(at[1])), (float(dcm[0]), float(dcm[1]))
             phases.append(PlannedPhase(mode, begin_ns, end_ns, goal_, *points))
             begin_ns = end_ns
-        return Plan(
-            number=number,
-            origin=PlanOrigin(state.session, state.sequence, report.phase),
-            valid_until_ns=state.stamp_ns + VALID_NS,
-            feet=report.feet,
-            com=(float(com[0, 0]), float(com[0, 1])),
-            phases=tuple(phases),
-            swing_height=self._swing_height,
+        return plan_from(
+            state, report, phases, com=com, number=number, swing_height=self._swing_height
         )
+
+
+def plan_from(
+    state: RobotState,
+    report: StepReport,
+    phases: list[PlannedPhase],
+    *,
+    com: np.ndarray,
+    number: int,
+    swing_height: float,
+) -> Plan:
+    """Return the plan of `phases`, the first of which is the one that the state reports.
+
+    `com` is as for a `Planner`.
+    """
+    return Plan(
+        number=number,
+        origin=PlanOrigin(state.session, state.sequence, report.phase),
+        valid_until_ns=state.stamp_ns + _VALID_NS,
+        feet=report.feet,
+        com=(float(com[0, 0]), float(com[0, 1])),
+        phases=tuple(phases),
+        swing_height=swing_height,
+    )
 
 
 def footsteps(

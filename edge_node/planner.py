@@ -13,14 +13,14 @@ from typing import Protocol
 
 import numpy as np
 
-from edge_node.footstep_plan import VALID_NS, FootstepBuilder
+from edge_node.footstep_plan import FootstepBuilder, plan_from
 from shared.config.quantities import parse_ground
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError
 from shared.motion.footstep_search import NoFootstepsError, find_footsteps
 from shared.motion.footsteps import standing_footprints
 from shared.motion.ground import make_ground
-from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin
+from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase
 from shared.motion.stance import middle
 from shared.motion.step_decision import Balance, InAir, StepDecision
 from shared.motion.step_law import StepLaw
@@ -116,6 +116,7 @@ class ReactivePlanner:
         self._decision = StepDecision(robot, config)
         self._double_support_ns = round(config.stepping.double_support * 1e9)
         self._end_ns = round(config.walk.end_duration * 1e9)
+        self._swing_height = config.stepping.swing_height
 
     def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
         report = state.steps
@@ -155,13 +156,8 @@ class ReactivePlanner:
         stand = (float(rest[0]), float(rest[1]))
         both = ContactMode.DOUBLE_SUPPORT
         phases.append(PlannedPhase(both, end_ns, end_ns + self._end_ns, None, stand, stand))
-        return Plan(
-            number=number,
-            origin=PlanOrigin(state.session, state.sequence, report.phase),
-            valid_until_ns=state.stamp_ns + VALID_NS,
-            feet=report.feet,
-            com=(float(com[0, 0]), float(com[0, 1])),
-            phases=tuple(phases),
+        return plan_from(
+            state, report, phases, com=com, number=number, swing_height=self._swing_height
         )
 
 

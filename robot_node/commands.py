@@ -13,10 +13,10 @@ from functools import partial
 
 from robot_node.live import LiveLoop
 from robot_node.node import RobotNode
-from shared.bus.operator import CommandServer
+from shared.bus.operator import CommandServer, play_script
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.extensions import CONTROLLERS
-from shared.errors import ConfigError, LinkError, UserError
+from shared.errors import ConfigError, LinkError
 from shared.wire.operator.commands import (
     Accepted,
     Command,
@@ -59,16 +59,12 @@ class RobotCommands:
 
     def play(self, script: Sequence[CommandEvent]) -> None:
         """Carry out the commands of a script at their times of the task, on another thread."""
-        threading.Thread(target=self._play, args=(script,), name="script", daemon=True).start()
+        play_script(script, self._carry_out_due, self._say)
 
-    def _play(self, script: Sequence[CommandEvent]) -> None:
-        for event in script:
-            while not self._comes(event.time_ns):
-                time.sleep(_LOOK_SECONDS)
-            try:
-                self._carry_out(event.command, at_ns=event.time_ns)
-            except UserError as error:
-                self._say(str(error))
+    def _carry_out_due(self, event: CommandEvent) -> None:
+        while not self._comes(event.time_ns):
+            time.sleep(_LOOK_SECONDS)
+        self._carry_out(event.command, at_ns=event.time_ns)
 
     def _comes(self, time_ns: int) -> bool:
         progress = self._loop.progress

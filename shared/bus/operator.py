@@ -72,6 +72,26 @@ class CommandClient:
         return answer
 
 
+def play_script(
+    script: Sequence[CommandEvent],
+    carry_out: Callable[[CommandEvent], object],
+    say: Callable[[str], None],
+) -> None:
+    """Carry out the events of a script in turn, on another thread, and `say` what is refused.
+
+    `carry_out(event)` waits until the event is due.
+    """
+
+    def play() -> None:
+        for event in script:
+            try:
+                carry_out(event)
+            except UserError as error:
+                say(str(error))
+
+    threading.Thread(target=play, name="script", daemon=True).start()
+
+
 class RobotTimes:
     """Answers and publishes the commands of a process beside the robot, by the robot's clock.
 
@@ -88,6 +108,8 @@ class RobotTimes:
         self._on_clock = on_clock
         self._clock = ScaledClock()
         self._reading: ClockReading | None = None
+        # The time of the task at the first reading.
+        self._begun_ns: int | None = None
         self._events = hub.publisher(EVENTS_KEY)
         hub.subscribe(CLOCK_KEY, self._take)
 
@@ -115,23 +137,17 @@ class RobotTimes:
 
         A process that starts again leaves out the commands that it has carried out before.
         """
-        arguments = (script, carry_out)
-        threading.Thread(target=self._play, args=arguments, name="script", daemon=True).start()
 
-    def _play(
-        self, script: Sequence[CommandEvent], carry_out: Callable[[Command], Accepted]
-    ) -> None:
-        while (reading := self._reading) is None:
-            time.sleep(_LOOK_SECONDS)
-        for event in script:
-            if event.time_ns < reading.task_ns - _MISSED_NS:
-                continue
+        def carry_out_due(event: CommandEvent) -> None:
+            while (begun_ns := self._begun_ns) is None:
+                time.sleep(_LOOK_SECONDS)
+            if event.time_ns < begun_ns - _MISSED_NS:
+                return
             while (wait_ns := self._wait_ns(event.time_ns)) > 0:
                 time.sleep(min(wait_ns * 1e-9, _LOOK_SECONDS))
-            try:
-                carry_out(event.command)
-            except UserError as error:
-                self._say(str(error))
+            carry_out(event.command)
+
+        play_script(script, carry_out_due, self._say)
 
     def _wait_ns(self, time_ns: int) -> float:
         """Return the time until a time of the task [ns of real time]; infinite while it stands."""
@@ -146,6 +162,8 @@ class RobotTimes:
         with contextlib.suppress(MessageRefused):
             reading = decode_clock(delivery.data)
             self._clock.origin, self._reading = reading.origin, reading
+            if self._begun_ns is None:
+                self._begun_ns = reading.task_ns
             self._on_clock(reading)
 
 

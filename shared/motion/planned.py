@@ -15,7 +15,7 @@ from __future__ import annotations
 import bisect
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -66,7 +66,8 @@ class Plan:
 
     `number` grows from plan to plan. `feet` are the soles at its begin, left and right; the foot in
     the air, if there is one, has the footprint from which it lifted. `com` is the CoM in the plane
-    at its begin [m]. A plan that has not begun by `valid_until_ns` of the robot's clock is void.
+    at its begin [m], `swing_height` is over the higher footprint of a step [m]. A plan that has not
+    begun by `valid_until_ns` of the robot's clock is void.
     """
 
     number: int
@@ -75,7 +76,7 @@ class Plan:
     feet: tuple[Footprint, Footprint]
     com: tuple[float, float]
     phases: tuple[PlannedPhase, ...]
-    swing_height: float = field(default=0.05)
+    swing_height: float
 
     def footprints(self) -> tuple[Footprint, ...]:
         """Return where feet land, in the order of time."""

@@ -173,6 +173,21 @@ def test_feet_that_stand_apart_come_together(robot, walk):
     assert after[Foot.LEFT].y - after[Foot.RIGHT].y == pytest.approx(Stance.of(robot).width)
 
 
+@pytest.mark.parametrize("mode", ["on", "edge"])
+def test_a_step_is_as_high_as_the_settings_say(robot, configured, mode):
+    task = "walk" if mode == "on" else "balance"
+    settings = {"task": task, "stepping.mode": mode, "wbc.balance.law": "dcm"}
+    settings |= {"stepping.swing_height": 0.07, "wire.projector_dtype": "float32"}
+    law = make_step_law(robot, Stance.of(robot))
+    planner = make_planner(robot, configured(**settings), law)
+    com = at_rest(robot)
+    com[0, 0] += 0.16  # of a pushed robot: beyond its toes
+    plan = planner.plan(state(robot), com=com, number=1)
+    assert plan is not None
+    assert plan.footprints()
+    assert plan.swing_height == 0.07
+
+
 def test_the_task_go_has_the_goal_of_the_settings(robot, configured):
     settings = {"stepping.mode": "on", "wbc.balance.law": "dcm", "walk.goal": "0.3,0.1,20deg"}
     config = configured(**{"task": "go", "wire.projector_dtype": "float32", **settings})

@@ -66,6 +66,7 @@ def plan(bench):
             PlannedPhase(LEFT, 100 * MS, 500 * MS, goal, (0.0, 0.096), (0.1, 0.0)),
             PlannedPhase(DOUBLE, 500 * MS, 2500 * MS, None, (0.08, 0.0), (0.08, 0.0)),
         ),
+        swing_height=0.05,
     )
 
 

@@ -72,6 +72,7 @@ def plan(bench):
             PlannedPhase(LEFT, 500_000_000, 900_000_000, goal, (0.0, 0.1), (0.2, 0.0)),
             PlannedPhase(DOUBLE, 900_000_000, 2_000_000_000, None, (0.1, 0.0), (0.1, 0.0)),
         ),
+        swing_height=0.05,
     )
 
 
