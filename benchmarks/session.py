@@ -19,17 +19,17 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.live_stack import live_stack
 from benchmarks.timing import cores_busy, header_of_processes
 from deploy.background.control_client import StackClient
-from deploy.background.state import READY, StackFolder
-from shared.errors import ConfigError, LinkError
+from deploy.background.state import StackFolder
+from shared.errors import LinkError
 from shared.output.text_table import aligned
-from shared.process.entry import end_with_parent, python
+from shared.process.entry import python
 from shared.wire.operator.commands import Command, Reset
 from shared.wire.operator.events import EVENTS_FILE, read_events
 from shared.wire.operator.texts import parse_command
 
-_START_SECONDS, _END_SECONDS = 120.0, 240.0
 # Between two commands [s].
 _LEAST, _MOST = 0.5, 2.0
 # Services have taken the memory that they work with by then [s].
@@ -87,58 +87,26 @@ def run(*, seed: int, minutes: float, folder: Path | None) -> str:
     """
     busy = cores_busy(seconds=2.0)
     with tempfile.TemporaryDirectory(prefix="benchmark-") as name:
-        run_folder = (Path(name) if folder is None else folder) / "run"
-        session = _play(run_folder, seed=seed, minutes=minutes)
+        how = ("--stay", "--controller", "lc", "--push", "none", "--view", "off")
+        with live_stack(Path(name) if folder is None else folder, *how) as stack:
+            names = [each.name for each in stack.ready().services]
+            session = _send(StackFolder(stack.run), names, seed=seed, seconds=60.0 * minutes)
+        if stack.up.returncode < 0:
+            raise LinkError("the stack did not end by itself, and was killed")
         return "\n".join(
             [
                 header_of_processes(busy),
                 f"random commands for {minutes:g} min, seed {seed}; balance with LC, factory/001",
                 "",
                 *_in_words(session),
-                *_played_again(run_folder, Path(name) / "again"),
+                *_played_again(stack.run, Path(name) / "again"),
             ]
         )
 
 
-def _play(run_folder: Path, *, seed: int, minutes: float) -> Session:
-    command = python("-m", "deploy", "up", "--stay", "--controller", "lc", "--push", "none")
-    command += ["--view", "off", "--out", str(run_folder)]
-    with tempfile.TemporaryFile() as said:
-        up = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=said,
-            stderr=subprocess.STDOUT,
-            preexec_fn=end_with_parent(),
-        )
-        try:
-            _wait_until_ready(up, run_folder)
-            return _send(run_folder, seed=seed, seconds=60.0 * minutes)
-        finally:
-            up.terminate()
-            try:
-                up.wait(_END_SECONDS)
-            except subprocess.TimeoutExpired:
-                up.kill()
-                raise LinkError(f"the stack did not end within {_END_SECONDS:g} s") from None
-
-
-def _wait_until_ready(up: subprocess.Popen[bytes], run_folder: Path) -> None:
-    deadline = time.monotonic() + _START_SECONDS
-    while time.monotonic() < deadline and up.poll() is None:
-        try:
-            if StackFolder(run_folder).read().state == READY:
-                return
-        except ConfigError:
-            pass  # Not there yet.
-        time.sleep(0.1)
-    raise LinkError(f"the stack was not ready within {_START_SECONDS:g} s; see {run_folder}")
-
-
-def _send(run_folder: Path, *, seed: int, seconds: float) -> Session:
-    stack = StackFolder(run_folder)
+def _send(stack: StackFolder, services: list[str], *, seed: int, seconds: float) -> Session:
     client = StackClient(stack)
-    session = Session(Counter(), [], 0, {each.name: [] for each in stack.read().services})
+    session = Session(Counter(), [], 0, {name: [] for name in services})
     began = looked = time.monotonic()
     for command, pause in commands(seed):
         time.sleep(pause)

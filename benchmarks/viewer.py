@@ -14,19 +14,18 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.live_stack import LiveStack, ended_within, live_stack
 from benchmarks.timing import cores_busy, header_of_processes
-from deploy.background.state import READY, StackFolder
+from deploy.background.state import READY
 from deploy.services import VIEWER
 from shared.errors import ConfigError, LinkError
 from shared.output.text_table import aligned
-from shared.process.entry import end_with_parent, python
 from shared.telemetry.metrics import in_task
 from shared.telemetry.parquet import read_parquet
 
@@ -35,7 +34,6 @@ _NETWORK = "constant:20ms"
 _UNDISTURBED = 2.0
 # Ticks of the first second are left out: code takes longer at its first use [ns].
 _WARM_UP_NS = 1_000_000_000
-_START_SECONDS = 120.0
 # Besides what the run lasts: starting, writing files, and ending a viewer that does not answer.
 _MORE_SECONDS = 240.0
 _FOR_EVER = 1e6
@@ -101,16 +99,18 @@ def play(case: Case, *, seconds: float) -> Ticks:
     """
     with tempfile.TemporaryDirectory(prefix="benchmark-") as name:
         folder = Path(name)
-        with _up(case, folder, seconds=seconds) as up:
+        how = ["--network", _NETWORK, "--controller", "la", "--push", "none"]
+        how += ["--duration", f"{seconds:g}", "--view", case.view]
+        with live_stack(folder, *how) as stack:
             if case.signals:
-                group = _viewer(up, folder)
+                group = _viewer(stack)
                 time.sleep(_UNDISTURBED)
-                disturb(up, group, case.signals, seconds=seconds + _MORE_SECONDS)
-            code = _wait(up, seconds + _MORE_SECONDS)
+                disturb(stack.up, group, case.signals, seconds=seconds + _MORE_SECONDS)
+            code = ended_within(stack.up, seconds + _MORE_SECONDS)
         if code is None:
             raise LinkError(f"{case.name}: the run did not end within {_MORE_SECONDS:g} s more")
         if code != 0:
-            raise LinkError(f"{case.name}: the run ended with {code}; it said: {_output(folder)}")
+            raise LinkError(f"{case.name}: the run ended with {code}; it said: {stack.last_line()}")
         return read_ticks(folder / "run" / "telemetry.parquet")
 
 
@@ -131,7 +131,7 @@ def disturb(
             os.killpg(group, number)
         except ProcessLookupError:
             return  # The run is over, and has ended its viewer.
-        if _wait(up, min(pause, left)) is not None:
+        if ended_within(up, min(pause, left)) is not None:
             return
 
 
@@ -153,62 +153,15 @@ def read_ticks(file: Path) -> Ticks:
     return Ticks(float(p50), float(p99), float(maximum), float(late_p99), int(overruns))
 
 
-@contextmanager
-def _up(case: Case, folder: Path, *, seconds: float) -> Iterator[subprocess.Popen[bytes]]:
-    """Run `./deploy/up` into `folder`/run, with its output in `folder`/said. End it with the
-    context.
-    """
-    command = python("-m", "deploy", "up", "--network", _NETWORK, "--controller", "la")
-    command += ["--push", "none", "--duration", f"{seconds:g}", "--view", case.view]
-    command += ["--out", str(folder / "run")]
-    with (folder / "said").open("wb") as output:
-        up = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            preexec_fn=end_with_parent(),
-        )
-    try:
-        yield up
-    finally:
-        up.terminate()
-        if _wait(up, _MORE_SECONDS) is None:
-            up.kill()
-            up.wait()
-
-
-def _viewer(up: subprocess.Popen[bytes], folder: Path) -> int:
+def _viewer(stack: LiveStack) -> int:
     """Return the viewer's process group, once the whole stack is ready. Raise `LinkError` without
     one.
     """
-    deadline = time.monotonic() + _START_SECONDS
-    while time.monotonic() < deadline and _wait(up, 0.1) is None:
-        try:
-            stack = StackFolder(folder / "run").read()
-        except ConfigError:
-            continue  # Not there yet.
-        if stack.state == READY:
-            for service in stack.services:
-                if service.name == VIEWER and service.state == READY:
-                    # A service is the leader of a separate process group.
-                    return service.pid
-            break
-    raise LinkError(f"the run has no viewer to disturb; it said: {_output(folder)}")
-
-
-def _output(folder: Path) -> str:
-    """The last line of `./deploy/up`."""
-    lines = (folder / "said").read_text(encoding="utf-8").splitlines()
-    return lines[-1] if lines else "nothing"
-
-
-def _wait(up: subprocess.Popen[bytes], seconds: float) -> int | None:
-    """Return the exit code, or None if the process has not ended within `seconds`."""
-    try:
-        return up.wait(timeout=seconds)
-    except subprocess.TimeoutExpired:
-        return None
+    for service in stack.ready().services:
+        if service.name == VIEWER and service.state == READY:
+            # A service is the leader of a separate process group.
+            return service.pid
+    raise LinkError(f"the run has no viewer to disturb; it said: {stack.last_line()}")
 
 
 def _table(played: dict[Case, list[Ticks]]) -> list[str]:
