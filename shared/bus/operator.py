@@ -77,9 +77,10 @@ def play_script(
     carry_out: Callable[[CommandEvent], object],
     say: Callable[[str], None],
 ) -> None:
-    """Carry out the events of a script in turn, on another thread, and `say` what is refused.
+    """Carry out the events of a script in turn, on another thread.
 
-    `carry_out(event)` waits until the event is due.
+    `carry_out(event)` waits until the event is due. `say` prints a line for an event that it
+    refuses.
     """
 
     def play() -> None:

@@ -13,7 +13,6 @@ the reason.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -22,24 +21,30 @@ import numpy as np
 
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError, MessageRefused
-from shared.motion.footprint import Footprint
-from shared.robots import Foot, Robot
+from shared.robots import Robot
 from shared.wbc.answer import Factorisation, Openness, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
-from shared.wbc.finite import all_finite
 from shared.wbc.limits import Limits
-from shared.wbc.reference import Motion, SwingState
+from shared.wbc.reference import Motion
 from shared.wbc.stack import RowLayout, make_stacks
 from shared.wire.channels import DOWNLINK, UPLINK
+from shared.wire.fields import (
+    DOUBLE,
+    MAX_INT,
+    SINGLE,
+    array_of,
+    finite_numbers,
+    held_sequences_of,
+    integer_of,
+    mode_of,
+)
 from shared.wire.form import INTEGER, SMALL, Form, binary
-from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState, StepReport
+from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
+from shared.wire.step_reports import STEP_SLOTS, step_values, steps_in, steps_of
 
 SCHEMA_VERSION = 4
 _STATE, _PROJECTOR, _FACTORISATION = "state", "projector", "factorisation"
-_MAX_INT = 2**63 - 1
-_SINGLE = np.dtype("<f4")
-_DOUBLE = np.dtype("<f8")
-_DTYPES: dict[str, np.dtype[Any]] = {"float64": _DOUBLE, "float32": _SINGLE}
+_DTYPES: dict[str, np.dtype[Any]] = {"float64": DOUBLE, "float32": SINGLE}
 
 # Raises `MessageRefused` if an answer with this session and sequence is not wanted. In a message of
 # a form it is asked before the numbers are looked at, else when all is known to be right.
@@ -121,7 +126,7 @@ class Codec:
             state.q.tobytes(),
             state.v.tobytes(),
             *self._com_command_bytes(state),
-            *(() if state.steps is None else _step_values(state.steps)),
+            *(() if state.steps is None else step_values(state.steps)),
             *(held_sequences or ()),
         )
 
@@ -141,12 +146,12 @@ class Codec:
             sequence=integer_of(fields, "sequence"),
             stamp_ns=integer_of(fields, "stamp_ns"),
             time_ns=integer_of(fields, "time_ns"),
-            mode=_mode(fields),
+            mode=mode_of(fields),
             q=array_of(fields, "q", (self._nq,)),
             v=array_of(fields, "v", (self._nv,)),
-            held_sequences=_holds(fields),
+            held_sequences=held_sequences_of(fields),
             com_command=array_of(fields, "com_command", (2,)) if self._commands_com else None,
-            steps=_steps(fields.get("steps"), _mode(fields)) if self._reports_steps else None,
+            steps=steps_in(fields.get("steps"), mode_of(fields)) if self._reports_steps else None,
         )
 
     def encode_projector(self, message: ProjectorMessage) -> bytes:
@@ -171,7 +176,7 @@ class Codec:
         if message is not None:
             return message
         fields = self.unpack(data, (_PROJECTOR,), DOWNLINK.max_bytes)
-        mode = _mode(fields)
+        mode = mode_of(fields)
         entries = fields.get("projectors")
         if not isinstance(entries, list) or not 0 < len(entries) <= len(ContactMode):
             raise MessageRefused("shape", "projectors")
@@ -226,10 +231,10 @@ class Codec:
                 "stamp_ns": INTEGER,
                 "time_ns": INTEGER,
                 "mode": SMALL,
-                "q": binary(_DOUBLE.itemsize * self._nq),
-                "v": binary(_DOUBLE.itemsize * self._nv),
-                **({"com_command": binary(_DOUBLE.itemsize * 2)} if self._commands_com else {}),
-                **({"steps": dict(_STEP_SLOTS)} if self._reports_steps else {}),
+                "q": binary(DOUBLE.itemsize * self._nq),
+                "v": binary(DOUBLE.itemsize * self._nv),
+                **({"com_command": binary(DOUBLE.itemsize * 2)} if self._commands_com else {}),
+                **({"steps": dict(STEP_SLOTS)} if self._reports_steps else {}),
                 "holds": holds,
             }
         )
@@ -246,24 +251,24 @@ class Codec:
         if values is None:
             return None
         session, sequence, stamp_ns, time_ns, mode, q_bytes, v_bytes, *holds = values
-        q, v = _finite(q_bytes), _finite(v_bytes)
+        q, v = finite_numbers(q_bytes), finite_numbers(v_bytes)
         com_command = None
         if self._commands_com:
             command_bytes, *holds = holds
-            com_command = _finite(command_bytes)
+            com_command = finite_numbers(command_bytes)
             if com_command is None:
                 return None
         steps = None
         if self._reports_steps:
-            of_steps, holds = holds[: len(_STEP_SLOTS)], holds[len(_STEP_SLOTS) :]
+            of_steps, holds = holds[: len(STEP_SLOTS)], holds[len(STEP_SLOTS) :]
             if mode not in self._layouts:
                 return None
-            steps = _steps_of(ContactMode(mode), *of_steps)
+            steps = steps_of(ContactMode(mode), *of_steps)
             if steps is None:
                 return None
         if mode not in self._layouts or q is None or v is None:
             return None
-        if min(session, sequence, stamp_ns, time_ns) < -_MAX_INT or min(holds, default=0) < -1:
+        if min(session, sequence, stamp_ns, time_ns) < -MAX_INT or min(holds, default=0) < -1:
             return None
         held_sequences = tuple(holds) if holds else None
         return RobotState(
@@ -298,8 +303,8 @@ class Codec:
                 "sequence": INTEGER,
                 "stamp_ns": INTEGER,
                 "mode": SMALL,
-                "tau": binary(_DOUBLE.itemsize * (self._nv - 6)),
-                "y": binary(_DOUBLE.itemsize * layout.n_unknowns),
+                "tau": binary(DOUBLE.itemsize * (self._nv - 6)),
+                "y": binary(DOUBLE.itemsize * layout.n_unknowns),
                 "projectors": [projector],
             }
         )
@@ -341,11 +346,11 @@ class Codec:
         rows = list(active)
         if shape != self._shapes[mode] or not self._are_active_rows(rows, mode):
             return None
-        tau, y = _finite(tau_bytes), _finite(y_bytes)
-        A_dagger = _finite(numbers, _DTYPES[dtype_name])
+        tau, y = finite_numbers(tau_bytes), finite_numbers(y_bytes)
+        A_dagger = finite_numbers(numbers, _DTYPES[dtype_name])
         if tau is None or y is None or A_dagger is None:
             return None
-        if min(session, sequence, stamp_ns, from_ns, until_ns) < -_MAX_INT:
+        if min(session, sequence, stamp_ns, from_ns, until_ns) < -MAX_INT:
             return None
         projector = Projector(mode, A_dagger.reshape(shape), np.array(rows, dtype=int))
         timed = TimedProjector(projector, from_ns, until_ns)
@@ -376,13 +381,13 @@ class Codec:
         return {
             "mode": int(mode),
             "layout": self._layout_digests[mode],
-            **{name: array.astype(_SINGLE).tobytes() for name, array in arrays.items()},
+            **{name: array.astype(SINGLE).tobytes() for name, array in arrays.items()},
         }
 
     def _decode_factorisation_fields(self, fields: Any) -> Factorisation:
         if not isinstance(fields, dict):
             raise MessageRefused("undecodable", "factorisation")
-        mode = _mode(fields)
+        mode = mode_of(fields)
         if fields.get("layout") != self._layout_digests[mode]:
             raise MessageRefused("layout", mode.name)
         stack = self._stacks[mode]
@@ -390,7 +395,7 @@ class Codec:
         varying = stack.varying_task_rows
 
         def array(name: str, *shape: int) -> np.ndarray:
-            return array_of(fields, name, shape, dtype=_SINGLE)
+            return array_of(fields, name, shape, dtype=SINGLE)
 
         A = stack.constant_task_rows.copy()
         A[varying] = array("A", len(varying), self._nv)
@@ -420,7 +425,7 @@ class Codec:
     def _decode_projector_fields(self, fields: Any) -> TimedProjector:
         if not isinstance(fields, dict):
             raise MessageRefused("undecodable", "projector")
-        mode = _mode(fields)
+        mode = mode_of(fields)
         if fields.get("layout") != self._layout_digests[mode]:
             raise MessageRefused("layout", mode.name)
         dtype = fields.get("dtype")
@@ -449,8 +454,8 @@ class Codec:
         if not isinstance(limits, bytes) or not self._are_limits(list(limits)):
             raise MessageRefused("shape", "limits")
         k = len(limits)
-        push = array_of(fields, "push", (layout.n_unknowns, k + layout.n_forces), dtype=_SINGLE)
-        factor = array_of(fields, "factor", (k, k), dtype=_SINGLE)
+        push = array_of(fields, "push", (layout.n_unknowns, k + layout.n_forces), dtype=SINGLE)
+        factor = array_of(fields, "factor", (k, k), dtype=SINGLE)
         return Openness(np.array(list(limits), dtype=int), push, factor)
 
     def pack(self, kind: str, max_bytes: int, **fields: Any) -> bytes:
@@ -488,80 +493,6 @@ def _check_size(kind: str, size: int, max_bytes: int) -> None:
         )
 
 
-# The two soles (x, y, heading, z), then position, velocity, acceleration and heading with its first
-# and second derivative of the foot in the air, then the disturbance.
-_POSES = 8 + 12 + 2
-_STEP_SLOTS = {
-    "phase": INTEGER,
-    "phase_ns": INTEGER,
-    "plan": INTEGER,
-    "law": INTEGER,
-    "poses": binary(_SINGLE.itemsize * _POSES),
-}
-
-
-def _step_values(steps: StepReport) -> tuple[int | bytes, ...]:
-    """The values of a report in its slots."""
-    poses = np.zeros(_POSES)
-    for k, print_ in enumerate(steps.feet):
-        poses[4 * k : 4 * k + 4] = print_.x, print_.y, print_.yaw, print_.z
-    if (swing := steps.swing) is not None:
-        poses[8:17] = np.concatenate((swing.position, swing.velocity, swing.acceleration))
-        poses[17:20] = swing.yaw, swing.yaw_rate, swing.yaw_acceleration
-    poses[20:] = steps.disturbance
-    return (
-        steps.phase,
-        steps.phase_ns,
-        steps.plan,
-        steps.law,
-        poses.astype(_SINGLE).tobytes(),
-    )
-
-
-def _steps_of(
-    mode: ContactMode, phase: int, phase_ns: int, plan: int, law: int, poses: bytes
-) -> StepReport | None:
-    """The report in its values; None if one is not valid."""
-    numbers = _finite(poses, _SINGLE)
-    if numbers is None or min(phase, phase_ns, law, plan + 1) < 0:
-        return None
-    left, right = numbers[:4].tolist(), numbers[4:8].tolist()
-    swing = None
-    if mode is not ContactMode.DOUBLE_SUPPORT:
-        swing = SwingState(numbers[8:11], numbers[11:14], numbers[14:17], *numbers[17:20].tolist())
-    feet = (Footprint(Foot.LEFT, *left), Footprint(Foot.RIGHT, *right))
-    return StepReport(phase, phase_ns, plan, law, feet, swing, numbers[20:])
-
-
-def _steps(fields: Any, mode: ContactMode) -> StepReport:
-    """The report in a message without a form. Raise `MessageRefused` if it is not valid."""
-    if not isinstance(fields, dict):
-        raise MessageRefused("shape", "steps")
-    array_of(fields, "poses", (_POSES,), dtype=_SINGLE)
-    phase, phase_ns = integer_of(fields, "phase"), integer_of(fields, "phase_ns")
-    plan, law = integer_of(fields, "plan"), integer_of(fields, "law")
-    steps = _steps_of(mode, phase, phase_ns, plan, law, fields["poses"])
-    if steps is None:
-        raise MessageRefused("shape", "steps")
-    return steps
-
-
-def _finite(data: bytes, dtype: np.dtype[Any] = _DOUBLE) -> np.ndarray | None:
-    """Return the numbers as float64, or None if one of them is not finite."""
-    numbers = np.frombuffer(data, dtype)
-    if dtype is not _DOUBLE:
-        numbers = numbers.astype(np.float64)
-    return numbers if all_finite(numbers) else None
-
-
-def integer_of(fields: dict[str, Any], name: str) -> int:
-    """Return an integer field; raise `MessageRefused` if it is none."""
-    value = fields.get(name)
-    if type(value) is not int or not -_MAX_INT <= value <= _MAX_INT:
-        raise MessageRefused("shape", name)
-    return value
-
-
 def _rounded(array: np.ndarray, dtype: np.dtype[Any]) -> np.ndarray:
     rounded: np.ndarray = array.astype(dtype).astype(np.float64)
     return rounded
@@ -570,8 +501,8 @@ def _rounded(array: np.ndarray, dtype: np.dtype[Any]) -> np.ndarray:
 def _open_fields(opened: Openness) -> dict[str, bytes]:
     return {
         "limits": bytes(opened.limits.tolist()),
-        "push": opened.push.astype(_SINGLE).tobytes(),
-        "factor": opened.factor.astype(_SINGLE).tobytes(),
+        "push": opened.push.astype(SINGLE).tobytes(),
+        "factor": opened.factor.astype(SINGLE).tobytes(),
     }
 
 
@@ -584,38 +515,3 @@ def _unpacked(triangle: np.ndarray, n: int) -> np.ndarray:
     matrix = np.zeros((n, n))
     matrix[np.tril_indices(n)] = triangle
     return matrix + np.tril(matrix, -1).T
-
-
-def _holds(fields: dict[str, Any]) -> tuple[int, ...] | None:
-    held_sequences = fields.get("holds")
-    if held_sequences is None:
-        return None
-    if not isinstance(held_sequences, list) or len(held_sequences) != len(ContactMode):
-        raise MessageRefused("shape", "holds")
-    if any(type(each) is not int or not -1 <= each <= _MAX_INT for each in held_sequences):
-        raise MessageRefused("shape", "holds")
-    return tuple(held_sequences)
-
-
-def _mode(fields: dict[str, Any]) -> ContactMode:
-    try:
-        return ContactMode(integer_of(fields, "mode"))
-    except ValueError:
-        raise MessageRefused("mode", repr(fields.get("mode"))) from None
-
-
-def array_of(
-    fields: dict[str, Any],
-    name: str,
-    shape: tuple[int, ...],
-    *,
-    dtype: np.dtype[Any] = _DOUBLE,
-) -> np.ndarray:
-    """Return an array of a shape, in double precision; raise `MessageRefused` if it is none."""
-    data = fields.get(name)
-    if not isinstance(data, bytes) or len(data) != dtype.itemsize * math.prod(shape):
-        raise MessageRefused("shape", name)
-    numbers = np.frombuffer(data, dtype=dtype)
-    if not all_finite(numbers):
-        raise MessageRefused("not_finite", name)
-    return numbers.astype(np.float64, copy=False).reshape(shape)

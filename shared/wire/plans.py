@@ -19,7 +19,8 @@ from shared.motion.step_law import NoGo, StepLaw
 from shared.robots import Foot
 from shared.wbc.contacts import ContactMode
 from shared.wire.channels import PLANS
-from shared.wire.codec import Codec, array_of, integer_of
+from shared.wire.codec import Codec
+from shared.wire.fields import array_of, integer_of
 from shared.wire.messages import PlanMessage
 
 _PLAN, _LAW = "step_plan", "step_law"
