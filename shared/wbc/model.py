@@ -10,7 +10,7 @@ each millisecond therefore stay in Pinocchio's memory: they are `Live`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NewType
 
 import numpy as np
@@ -98,14 +98,14 @@ class RowMultipliers:
 
     `dynamics` (6,) of M_u, `com` (3,) of J_com, `soles` (6,) per foot of J_sole, in their frames;
     `joints` (nv,) of rows that are the identity; `angular_momentum` (3,) about the CoM, in the base
-    frame.
+    frame, None without such rows.
     """
 
     dynamics: np.ndarray
     com: np.ndarray
     soles: dict[Foot, np.ndarray]
     joints: np.ndarray
-    angular_momentum: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    angular_momentum: np.ndarray | None = None
 
     @staticmethod
     def zero(nv: int) -> RowMultipliers:
@@ -273,7 +273,7 @@ class WholeBodyModel:
         a = np.zeros(self.nv)
         a[:6] = multipliers.dynamics
         turn = multipliers.angular_momentum
-        if turn.any():
+        if turn is not None:
             # M_u of the moment about the CoM c: μ at the base's origin, and c × μ.
             com = pin.centerOfMass(self.model, self.data, q, False)
             in_base = self.data.oMi[1].actInv(com)

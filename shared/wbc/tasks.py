@@ -178,7 +178,8 @@ class AngularMomentumTask:
         asked.dot(kinematics.world_from_base, rows)
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
-        multipliers.angular_momentum += rows
+        given = multipliers.angular_momentum
+        multipliers.angular_momentum = rows if given is None else given + rows
 
 
 class SwingFootTask:
