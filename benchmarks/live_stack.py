@@ -1,4 +1,4 @@
-"""A live stack for a benchmark: `./deploy/up` in a process, into a folder of its own."""
+"""A live stack for a benchmark: `./deploy/up` in a process, into a folder that the benchmark names."""
 
 from __future__ import annotations
 
