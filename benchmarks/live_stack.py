@@ -1,4 +1,4 @@
-"""A live stack for a benchmark: `./deploy/up` in a process, into a folder that the benchmark names."""
+"""A live stack for a benchmark: `./deploy/up` in a process, into a folder of the benchmark."""
 
 from __future__ import annotations
 
