@@ -38,8 +38,6 @@ from shared.wire.robot_clock import ClockReading, decode_clock
 
 _AT_ONCE, _A_SECOND = 8.0, 4.0
 _ANSWER_SECONDS = 5.0
-# Between two looks at the robot's clock, which an operator may stop.
-_LOOK_SECONDS = 0.05
 # The first reading of the clock comes up to this time after the beginning of the task.
 _MISSED_NS = 1_000_000_000
 
@@ -108,9 +106,10 @@ class RobotTimes:
         self._say = say
         self._on_clock = on_clock
         self._clock = ScaledClock()
+        self._read = threading.Condition()
         self._reading: ClockReading | None = None
         # The time of the task at the first reading.
-        self._begun_ns: int | None = None
+        self._begun_ns = 0
         self._events = hub.publisher(EVENTS_KEY)
         hub.subscribe(CLOCK_KEY, self._take)
 
@@ -140,12 +139,13 @@ class RobotTimes:
         """
 
         def carry_out_due(event: CommandEvent) -> None:
-            while (begun_ns := self._begun_ns) is None:
-                time.sleep(_LOOK_SECONDS)
-            if event.time_ns < begun_ns - _MISSED_NS:
-                return
-            while (wait_ns := self._wait_ns(event.time_ns)) > 0:
-                time.sleep(min(wait_ns * 1e-9, _LOOK_SECONDS))
+            with self._read:
+                self._read.wait_for(lambda: self._reading is not None)
+                if event.time_ns < self._begun_ns - _MISSED_NS:
+                    return
+                while (wait_ns := self._wait_ns(event.time_ns)) > 0:
+                    # Until then, or until the next reading of the clock.
+                    self._read.wait(None if math.isinf(wait_ns) else wait_ns * 1e-9)
             carry_out(event.command)
 
         play_script(script, carry_out_due, self._say)
@@ -162,9 +162,11 @@ class RobotTimes:
     def _take(self, delivery: Delivery) -> None:
         with contextlib.suppress(MessageRefused):
             reading = decode_clock(delivery.data)
-            self._clock.origin, self._reading = reading.origin, reading
-            if self._begun_ns is None:
-                self._begun_ns = reading.task_ns
+            with self._read:
+                if self._reading is None:
+                    self._begun_ns = reading.task_ns
+                self._clock.origin, self._reading = reading.origin, reading
+                self._read.notify_all()
             self._on_clock(reading)
 
 

@@ -132,6 +132,8 @@ def test_a_script_follows_the_robots_clock_and_is_not_played_twice() -> None:
     tell(3_500_000_000)
     until(lambda: len(done) == 2, "a command does not come at its time")
     assert done == [("link restore", 3_400_000_000), ("link cut", 3_500_000_000)]
+    tell(9_000_000_000)
+    until(lambda: len(done) == 3, "the last command does not come")
 
 
 def test_another_user_cannot_reach_the_hub(open_folder: Path) -> None:

@@ -26,6 +26,7 @@ from deploy.process_stat import process_started
 from shared.errors import ConfigError, LinkError
 from shared.file_lock import lock
 from shared.process.entry import python
+from tests.members import replace_members
 
 # A stack that ends at a signal as one does: with a state that says so, then without its lock.
 STANDS_IN = """
@@ -233,7 +234,7 @@ def test_a_stack_is_this_users_alone(tmp_path, known):
 
 def test_the_state_of_another_user_is_refused(tmp_path, monkeypatch):
     stack = written(tmp_path / "run")
-    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    replace_members(monkeypatch, state, "os", geteuid=lambda: os.getuid() + 1)
     with pytest.raises(ConfigError, match="expected a run of this user"):
         control.run_down(asked(run=stack.run))
     with pytest.raises(ConfigError, match="belongs to another"):

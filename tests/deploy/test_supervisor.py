@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from deploy import supervisor
+from deploy import process, supervisor
 from deploy.background.state import ENDED, READY, WAITING
 from deploy.services import load_services
 from deploy.supervisor import Launch, Supervisor
 from shared.errors import ConfigError, LinkError
 from shared.process.entry import python
+from tests.members import replace_members
 from tests.processes import PATIENCE_SECONDS
 
 FAILS = "print('READY', flush=True); raise SystemExit(4)"
@@ -58,7 +59,9 @@ class Run:
     async def signalled_by_stop(self, monkeypatch: pytest.MonkeyPatch) -> list[int]:
         """Stop the supervisor. Return the process groups that it signals, and signal none."""
         signalled: list[int] = []
-        monkeypatch.setattr(os, "killpg", lambda pid, number: signalled.append(pid))
+        replace_members(
+            monkeypatch, process, "os", killpg=lambda pid, number: signalled.append(pid)
+        )
         await self.supervisor.stop()
         monkeypatch.undo()
         return signalled

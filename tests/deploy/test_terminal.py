@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from deploy.background.state import LineFile
+from deploy.console import terminal as console
 from deploy.console.terminal import Terminal, service_line
+from tests.members import replace_members
 
 
 @pytest.fixture
@@ -104,7 +106,7 @@ def test_a_line_of_a_copy_is_known_by_who_said_it():
 
 
 def test_elsewhere_a_status_is_said_again_only_when_it_is_another(monkeypatch, capsys):
-    monkeypatch.setattr("time.monotonic", itertools.count(0, 2).__next__)
+    replace_members(monkeypatch, console, "time", monotonic=itertools.count(0, 2).__next__)
     terminal = Terminal()
     for status in ("waiting", "waiting", "t 1 s"):
         terminal.show(status)

@@ -5,7 +5,9 @@ import os
 
 import pytest
 
+from experiments.studies import progress as module
 from experiments.studies.progress import Progress
+from tests.members import replace_members
 
 
 class Terminal(io.StringIO):
@@ -23,8 +25,9 @@ def terminal(monkeypatch):
     def of(columns):
         stream, clock = Terminal(), [0.0]
         monkeypatch.setattr("sys.stderr", stream)
-        monkeypatch.setattr("time.perf_counter", lambda: clock[0])
-        monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((columns, 24)))
+        replace_members(monkeypatch, module, "time", perf_counter=lambda: clock[0])
+        size = os.terminal_size((columns, 24))
+        replace_members(monkeypatch, module, "os", get_terminal_size=lambda _: size)
         return stream, clock
 
     return of
@@ -67,7 +70,7 @@ def test_a_line_never_wraps_for_the_bar(terminal, columns):
 
 def test_without_a_terminal_there_is_a_line_every_ten_seconds(monkeypatch, capsys):
     clock = [0.0]
-    monkeypatch.setattr("time.perf_counter", lambda: clock[0])
+    replace_members(monkeypatch, module, "time", perf_counter=lambda: clock[0])
     progress = Progress(done=0, falls=0, left=30)
     for left in reversed(range(30)):
         clock[0] += 1.0

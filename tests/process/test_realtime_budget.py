@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import time
 
 import pytest
 
 from shared.process import realtime
 from shared.process.realtime import RealtimeBudget, RealtimeShare, realtime_share
+from tests.members import replace_members
 
 MS = 1_000_000
 
@@ -32,9 +32,14 @@ class Core:
 @pytest.fixture
 def core(monkeypatch: pytest.MonkeyPatch) -> Core:
     core = Core()
-    monkeypatch.setattr(time, "monotonic_ns", lambda: core.now_ns)
-    monkeypatch.setattr(time, "thread_time_ns", lambda: core.used_ns)
-    monkeypatch.setattr(time, "sleep", core.sleep)
+    replace_members(
+        monkeypatch,
+        realtime,
+        "time",
+        monotonic_ns=lambda: core.now_ns,
+        thread_time_ns=lambda: core.used_ns,
+        sleep=core.sleep,
+    )
     return core
 
 
@@ -79,7 +84,7 @@ def test_the_share_is_the_kernels_for_real_time_threads(
         file.write_text(text + "\n")
     monkeypatch.setattr(realtime, "_RUNTIME", files[0])
     monkeypatch.setattr(realtime, "_PERIOD", files[1])
-    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: getattr(os, policy))
+    replace_members(monkeypatch, realtime, "os", sched_getscheduler=lambda pid: getattr(os, policy))
     assert realtime_share() == share
 
 
@@ -91,9 +96,14 @@ def policies(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
     def put(pid: int, policy: int, parameters: os.sched_param) -> None:
         found.append((policy, parameters.sched_priority))
 
-    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: found[-1][0])
-    monkeypatch.setattr(os, "sched_getparam", lambda pid: os.sched_param(found[-1][1]))
-    monkeypatch.setattr(os, "sched_setscheduler", put)
+    replace_members(
+        monkeypatch,
+        realtime,
+        "os",
+        sched_getscheduler=lambda pid: found[-1][0],
+        sched_getparam=lambda pid: os.sched_param(found[-1][1]),
+        sched_setscheduler=put,
+    )
     return found
 
 
