@@ -107,6 +107,10 @@ class PlanCache:
             raise MessageRefused("phase", f"{plan.origin.phase}, the robot is in {clock.phase}")
         if plan.number <= self.plan:
             raise MessageRefused("stale", f"plan {plan.number} after {self.plan}")
+        # An edge makes at most one plan by a state, so an honest number is not above the states'.
+        # A huge one would make all later plans stale.
+        if plan.number > plan.origin.sequence:
+            raise MessageRefused("number", f"plan {plan.number} by state {plan.origin.sequence}")
         if now_ns > plan.valid_until_ns:
             raise MessageRefused("expired", f"plan {plan.number}")
         if clock.frozen(time_ns):

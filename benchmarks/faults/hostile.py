@@ -16,14 +16,16 @@ from shared.wire.codec import Codec
 from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
 
 _HOUR_NS = 3_600_000_000_000
-_HUGE = 2**63 - 1
+HUGE = 2**63 - 1
 
-Change = Callable[[bytes, Codec, Parameters, np.random.Generator], bytes]
-Draw = Callable[[np.random.Generator], Parameters]
+# From an honest message to a hostile one, or to many.
+Change = Callable[[bytes, Codec, Parameters, np.random.Generator], bytes | list[bytes]]
+# The parameter `by` of a change.
+Drawn = Callable[[np.random.Generator], Parameters]
 
 
-def _of(*choices: Any) -> Draw:
-    """Draw the parameter `by` from a few values."""
+def choose(*choices: Any) -> Drawn:
+    """Drawn the parameter `by` from a few values."""
     return lambda rng: {"by": choices[int(rng.integers(len(choices)))]}
 
 
@@ -164,51 +166,51 @@ def _noise(data: bytes, codec: Codec, given: Parameters, rng: np.random.Generato
     return rng.bytes(given["by"])
 
 
-_ANY: dict[str, tuple[Draw, Change]] = {
-    "bit flips": (_of(1, 2, 8, 64), _flips),
-    "truncation": (_of(0), _truncation),
-    "type": (_of("none", "text", "list", "map", "minus", "float", "bytes", "true"), _type),
-    "missing field": (_of(0), _missing),
-    "noise": (_of(0, 1, 500, 70_000), _noise),
+ANY: dict[str, tuple[Drawn, Change]] = {
+    "bit flips": (choose(1, 2, 8, 64), _flips),
+    "truncation": (choose(0), _truncation),
+    "type": (choose("none", "text", "list", "map", "minus", "float", "bytes", "true"), _type),
+    "missing field": (choose(0), _missing),
+    "noise": (choose(0, 1, 500, 70_000), _noise),
 }
 # By fault: how its parameter is drawn, and the change of an honest message.
-TO_EDGE: dict[str, tuple[Draw, Change]] = {
+TO_EDGE: dict[str, tuple[Drawn, Change]] = {
     "sequence": (
-        _of(3000, 10**9, _HUGE),
-        _in_state(lambda state, by, rng: {"sequence": min(state.sequence + by, _HUGE)}),
+        choose(3000, 10**9, HUGE),
+        _in_state(lambda state, by, rng: {"sequence": min(state.sequence + by, HUGE)}),
     ),
     "stamp": (
-        _of(10**9, _HOUR_NS, _HUGE, -(10**9)),
+        choose(10**9, _HOUR_NS, HUGE, -(10**9)),
         _in_state(
-            lambda state, by, rng: {"stamp_ns": min(max(state.stamp_ns + by, 0), _HUGE)},
+            lambda state, by, rng: {"stamp_ns": min(max(state.stamp_ns + by, 0), HUGE)},
         ),
     ),
     "session": (
-        _of(1, 2**40),
+        choose(1, 2**40),
         _in_state(lambda state, by, rng: {"session": state.session + by}),
     ),
     "task time": (
-        _of(10**9, _HOUR_NS),
+        choose(10**9, _HOUR_NS),
         _in_state(lambda state, by, rng: {"time_ns": state.time_ns + by}),
     ),
-    "joint": (_of(50.0, 0.6, -0.45, 1e300, float("inf"), float("nan")), _in_state(_joint)),
-    "speed": (_of(1e3, 5.0, float("nan")), _in_state(_speed)),
-    "quaternion": (_of(0.0, -1.0, 2.0), _in_state(_quaternion)),
-    **_ANY,
+    "joint": (choose(50.0, 0.6, -0.45, 1e300, float("inf"), float("nan")), _in_state(_joint)),
+    "speed": (choose(1e3, 5.0, float("nan")), _in_state(_speed)),
+    "quaternion": (choose(0.0, -1.0, 2.0), _in_state(_quaternion)),
+    **ANY,
 }
-TO_ROBOT: dict[str, tuple[Draw, Change]] = {
+TO_ROBOT: dict[str, tuple[Drawn, Change]] = {
     "sequence": (
-        _of(1, 3000, _HUGE),
-        _field("sequence", lambda value, by: min(value + by, _HUGE)),
+        choose(1, 3000, HUGE),
+        _field("sequence", lambda value, by: min(value + by, HUGE)),
     ),
     "stamp": (
-        _of(1, _HOUR_NS, _HUGE, -1),
-        _field("stamp_ns", lambda value, by: min(max(value + by, 0), _HUGE)),
+        choose(1, _HOUR_NS, HUGE, -1),
+        _field("stamp_ns", lambda value, by: min(max(value + by, 0), HUGE)),
     ),
-    "session": (_of(1, 2**40), _field("session", lambda value, by: value + by)),
-    "scaled": (_of(1e6, 1e300, 0.5, 1.5, 0.0), _matrices(lambda block, by, rng: by * block)),
-    "flipped": (_of(-1.0), _matrices(lambda block, by, rng: by * block)),
-    "permuted": (_of(0, 1), _matrices(lambda block, by, rng: rng.permutation(block, axis=by))),
-    "a column": (_of(1e3, 1e12, float("nan")), _matrices(_with_column)),
-    **_ANY,
+    "session": (choose(1, 2**40), _field("session", lambda value, by: value + by)),
+    "scaled": (choose(1e6, 1e300, 0.5, 1.5, 0.0), _matrices(lambda block, by, rng: by * block)),
+    "flipped": (choose(-1.0), _matrices(lambda block, by, rng: by * block)),
+    "permuted": (choose(0, 1), _matrices(lambda block, by, rng: rng.permutation(block, axis=by))),
+    "a column": (choose(1e3, 1e12, float("nan")), _matrices(_with_column)),
+    **ANY,
 }

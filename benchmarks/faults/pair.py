@@ -44,7 +44,13 @@ class Pair:
         self._rows: list[np.ndarray] = []
         self._tick = Tick(self.robot, self._next_row)
 
-    def tick(self, *, uplink: Arrive = unchanged, downlink: Arrive = unchanged) -> None:
+    def tick(
+        self,
+        *,
+        uplink: Arrive = unchanged,
+        downlink: Arrive = unchanged,
+        plans: Arrive = unchanged,
+    ) -> None:
         """Play one period. An edge that has several states to answer answers all of them."""
         for state in uplink(self._tick.begin(self._now_ns)):
             self.edge.receive(state, self._now_ns)
@@ -56,7 +62,10 @@ class Pair:
             if answer.data is not None:
                 answers.append(answer.data)
         arrived = [Delivery(data, None) for answer in answers for data in downlink(answer)]
-        self._tick.end(self._now_ns + self._command_ns, arrived)
+        planned = [
+            Delivery(data, None) for _, plan in self.edge.take_plans() for data in plans(plan)
+        ]
+        self._tick.end(self._now_ns + self._command_ns, arrived, plans=planned)
         self._now_ns += self._period_ns
 
     def column(self, name: str) -> np.ndarray:

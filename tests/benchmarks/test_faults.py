@@ -13,6 +13,7 @@ from benchmarks.faults import fuzz, live, lockstep
 from benchmarks.faults.campaign import JOURNAL, chosen, play, play_case
 from benchmarks.faults.cases import FUZZ, KINDS, LIVE, LOCKSTEP, SHORT, WHOLE, Case, make_cases
 from benchmarks.faults.hostile import TO_EDGE, TO_ROBOT
+from benchmarks.faults.hostile_plans import TO_LAW, TO_PLANS
 from benchmarks.faults.page import BEGIN, END, PAGE, evidence, with_evidence
 from benchmarks.faults.pair import Pair
 from benchmarks.faults.promises import PROMISES, Outcome, broken, table
@@ -38,6 +39,7 @@ FUZZ_KEPT = {
     "answered_after": True,
     "torque_apart_after": 0.0,
     "torque_tolerance": fuzz.TOLERANCE,
+    "plan_taken": False,
 }
 LIVE_KEPT = dict.fromkeys(("agrees", "readable", "clean", "one_line", "told"), True)
 
@@ -147,6 +149,32 @@ def test_every_change_makes_another_message(controller: str) -> None:
             for _ in range(8):
                 given = {**draw(rng), "first": True}
                 assert change(data, pair.codec, given, rng) != data, (name, given)
+
+
+def test_every_change_makes_another_plan_or_law() -> None:
+    pair = Pair(load_config(None, fuzz.WALK))
+    sent: list[bytes] = []
+
+    def note(data: bytes) -> list[bytes]:
+        sent.append(data)
+        return [data]
+
+    for _ in range(100):
+        pair.tick(plans=note)
+    law, plan, *_ = sent
+    rng = np.random.default_rng(0)
+    for changes, data in ((TO_PLANS, plan), (TO_LAW, law)):
+        for name, (draw, change) in changes.items():
+            for _ in range(3):
+                given = {**draw(rng), "first": True}
+                assert change(data, pair.codec, given, rng) != data, (name, given)
+
+
+def test_a_plan_after_which_all_others_would_be_stale_changes_nothing() -> None:
+    case = hostile("plans", "order", at=0, by=("number", 2**63 - 1))
+    outcome = fuzz.play(case)
+    assert broken(case, outcome) == []
+    assert outcome["refused"]["plans"] == {"number": 1}
 
 
 # The journal.

@@ -26,7 +26,7 @@ DOUBLE, LEFT = ContactMode.DOUBLE_SUPPORT, ContactMode.LEFT_SUPPORT
 
 
 class Bench:
-    """A robot that stands and has sent one state."""
+    """A robot that stands and has sent two states; offers answer the first one."""
 
     def __init__(self, robot, config):
         codec = Codec(robot, config, Standing(robot))
@@ -35,7 +35,8 @@ class Bench:
         self.codec = PlanCodec(codec)
         self.sent = SentStates(robot.model.nv - 6)
         v = np.zeros(robot.model.nv)
-        self.sent.add(0, stamp_ns=STAMP_NS, q=robot.q_standing, v=v)
+        for tick in range(2):
+            self.sent.add(tick, stamp_ns=STAMP_NS + tick, q=robot.q_standing, v=v)
 
     def offer(self, content, **identity):
         asked = {"session": SESSION, "sequence": 0, "stamp_ns": STAMP_NS, **identity}
@@ -102,7 +103,7 @@ def test_a_law_is_held_and_reported(bench, law):
     ("identity", "reason"),
     [
         ({"session": 4}, "session"),
-        ({"sequence": 1}, "future"),
+        ({"sequence": 2}, "future"),
         ({"stamp_ns": STAMP_NS + 1}, "stamp"),
     ],
 )
@@ -124,6 +125,9 @@ def moved(plan, **changes):
     [
         (lambda plan: dataclasses.replace(plan, origin=PlanOrigin(SESSION, 0, 1)), "phase"),
         (lambda plan: dataclasses.replace(plan, number=-1), "stale"),
+        # No edge has made so many plans by now: this one would make all later ones stale.
+        (lambda plan: dataclasses.replace(plan, number=1), "number"),
+        (lambda plan: dataclasses.replace(plan, number=2**63 - 1), "number"),
         (lambda plan: dataclasses.replace(plan, valid_until_ns=NOW_NS - 1), "expired"),
         (lambda plan: dataclasses.replace(plan, phases=plan.phases[:2]), "shape"),
         (lambda plan: dataclasses.replace(plan, phases=plan.phases[1:]), "phase"),
@@ -162,7 +166,8 @@ def test_only_a_newer_plan_replaces_another(bench, plan):
     assert bench.offer(plan)
     assert not bench.offer(plan)
     assert bench.cache.refused == {"stale": 1}
-    assert bench.offer(dataclasses.replace(plan, number=1))
+    second = dataclasses.replace(plan, number=1, origin=PlanOrigin(SESSION, 1, 0))
+    assert bench.offer(second, sequence=1, stamp_ns=STAMP_NS + 1)
 
 
 @pytest.mark.parametrize(
