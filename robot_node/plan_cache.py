@@ -1,7 +1,8 @@
 """The newest plan and step law of the edge, and why the others were refused.
 
-Both are taken only if they fit this robot and its present phase: footprints within the reach of its
-legs from feet where its own are, grids within its own soles and reach. A plan is taken for the
+Both are taken only if they fit this robot and its present phase. The footprints of a plan are
+within the reach of the legs, from feet where this robot's are. A law has the grids of the robot's
+soles and reach, and values near those of the robot's law for flat ground. A plan is taken for the
 phase that the robot is in, if it is newer than the last one and if no foot in the air is about to
 land. So a plan that is late, false or from another edge changes nothing.
 """
@@ -10,6 +11,8 @@ from __future__ import annotations
 
 import itertools
 import math
+
+import numpy as np
 
 from robot_node.sent_states import SentStates
 from robot_node.stepping import ContactClock
@@ -30,10 +33,12 @@ _FEET_APART, _FEET_TURNED = 0.05, 0.2
 _ROUNDING = 1e-5
 # A foot goes at most so far up or down from the other one, and so high above both [m].
 _CLIMB, _LIFT = 0.15, 0.3
-# CoPs and DCMs of a plan are at most as far from a foot [m]. Values of a law are at most as large.
+# CoPs and DCMs of a plan are at most as far from a foot [m].
 _FARTHEST = 1.0
-_MAX_VALUE = 1e4
-_LANDING_TIMES = (0.1, 2.0)
+# Values of a law are at most this factor from the robot's own ones, and so much apart.
+_FACTOR, _APART = 2.0, 0.01
+_GRIDS = ("times", "footholds_x", "footholds_y", "cops_x", "cops_y", "offsets")
+_VALUES = ("values_x", "values_y", "going_on_x", "going_on_y")
 
 
 class PlanCache:
@@ -89,16 +94,15 @@ class PlanCache:
         own = self._own
         if abs(law.omega - own.omega) > 1e-3 or abs(law.width - own.width) > 1e-3:
             raise MessageRefused("reach", "a law for another robot")
-        for name in ("footholds_x", "footholds_y", "cops_x", "cops_y"):
+        for name in _GRIDS:
             theirs, ours = getattr(law, name), getattr(own, name)
-            if theirs[0] < ours[0] - _ROUNDING or theirs[-1] > ours[-1] + _ROUNDING:
+            if abs(theirs[[0, -1]] - ours[[0, -1]]).max() > _ROUNDING:
                 raise MessageRefused("reach", name)
-        if law.times[0] < _LANDING_TIMES[0] or law.times[-1] > _LANDING_TIMES[1]:
-            raise MessageRefused("reach", "times")
-        for name in ("values_x", "values_y", "going_on_x", "going_on_y"):
-            values = getattr(law, name)
-            if values.min() < -_ROUNDING or values.max() > _MAX_VALUE:
-                raise MessageRefused("reach", name)
+        for name in _VALUES:
+            theirs = getattr(law, name)
+            ours = np.interp(law.offsets, own.offsets, getattr(own, name))
+            if (theirs > _FACTOR * ours + _APART).any() or (ours > _FACTOR * theirs + _APART).any():
+                raise MessageRefused("values", name)
         self._clock.law, self.law = law, law_identity(law)
 
     def _take_plan(self, plan: Plan, *, now_ns: int, time_ns: int) -> None:

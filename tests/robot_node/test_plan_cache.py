@@ -171,21 +171,26 @@ def test_only_a_newer_plan_replaces_another(bench, plan):
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "reason"),
     [
-        lambda law: {"footholds_x": 2.0 * law.footholds_x},
-        lambda law: {"footholds_y": law.footholds_y - 0.1},
-        lambda law: {"cops_x": law.cops_x + 0.05},
-        lambda law: {"omega": 2.0 * law.omega},
-        lambda law: {"width": 0.5},
-        lambda law: {"times": law.times + 5.0},
-        lambda law: {"values_x": -law.values_x},
-        lambda law: {"going_on_y": law.going_on_y + 1e6},
+        (lambda law: {"footholds_x": 2.0 * law.footholds_x}, "reach"),
+        (lambda law: {"footholds_x": 0.1 * law.footholds_x}, "reach"),
+        (lambda law: {"footholds_y": law.footholds_y - 0.1}, "reach"),
+        (lambda law: {"cops_x": law.cops_x + 0.05}, "reach"),
+        (lambda law: {"omega": 2.0 * law.omega}, "reach"),
+        (lambda law: {"width": 0.5}, "reach"),
+        (lambda law: {"times": law.times + 5.0}, "reach"),
+        (lambda law: {"values_x": -law.values_x}, "values"),
+        (lambda law: {"values_y": 0.0 * law.values_y}, "values"),
+        # The best foothold would be the worst.
+        (lambda law: {"values_x": law.values_x[::-1].copy()}, "values"),
+        (lambda law: {"values_y": law.values_y.max() - law.values_y}, "values"),
+        (lambda law: {"going_on_y": law.going_on_y + 1e6}, "values"),
     ],
 )
-def test_a_law_beyond_the_robots_own_reach_is_refused(bench, law, change):
+def test_a_law_that_is_not_near_the_robots_own_is_refused(bench, law, change, reason):
     assert not bench.offer(dataclasses.replace(law, **change(law)))
-    assert refusal(bench) == "reach"
+    assert refusal(bench) == reason
     assert untouched(bench)
 
 
