@@ -13,6 +13,7 @@ COMMANDS = (
     Subcommand("core", "where the time goes; or ratios to another commit", "benchmarks.commands"),
     Subcommand("faults", "faults on purpose, and the promises", "benchmarks.faults.campaign"),
     Subcommand("floor", "what no Python can beat", "benchmarks.commands"),
+    Subcommand("limits", "what the robot's own limits cost a tick", "benchmarks.commands"),
     Subcommand("lockstep", "speed of a trial", "benchmarks.commands"),
     Subcommand("netem", "how exactly the link is emulated", "benchmarks.commands"),
     Subcommand("peers", "beside TSID and placo, in ratios", "benchmarks.commands"),

@@ -10,6 +10,7 @@ from benchmarks import (
     capacity,
     core,
     floor,
+    limits,
     lockstep,
     netem,
     peers,
@@ -109,6 +110,17 @@ def run_recording(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds: expected 1 to 600, got {arguments.seconds:g}")
     exit_at_termination()
     print(recording.run(seconds=arguments.seconds))
+    return EXIT_STANDING
+
+
+def add_limits_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--rounds", type=int, default=50, help="of 20 ticks of each robot; 50")
+
+
+def run_limits(arguments: argparse.Namespace) -> int:
+    _check_count("--rounds", arguments.rounds)
+    exit_at_termination()
+    print(limits.run(rounds=arguments.rounds))
     return EXIT_STANDING
 
 

@@ -1,7 +1,8 @@
 """What every test may use: one loaded robot, its model and stacks, and random states near standing.
 
 With several workers of pytest-xdist, one of them plays the tests in tests/live, before all others.
-Meanwhile the other workers use what these leave of the machine: they have the lowest priority.
+Meanwhile the other workers have a lower priority. They keep it, because only root may raise it
+again: so it is not the lowest one, with which they would hardly go on beside other programs.
 
 Linear algebra on one thread and with one kernel, as in every process of ours: results are the same
 to the last bit on all machines that docs/reproduction.md names, and tests do not fight over cores.
@@ -40,6 +41,9 @@ from shared.wbc.stack import Stack, make_stacks
 from tests.late import add_option, be_late
 from tests.processes import ROOT, Typed
 from tests.states import State, random_states
+
+# The niceness of tests beside a live stack: a quarter of a core that other programs want too.
+_BESIDE_LIVE = 5
 
 # The same examples in every run, however slow the machine is at that moment.
 settings.register_profile(
@@ -92,7 +96,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     beside_live = is_xdist_worker(item.session) and is_live(item.session.items[0].nodeid)
     if beside_live and not is_live(item.nodeid):
-        os.setpriority(os.PRIO_PROCESS, 0, 19)
+        os.setpriority(os.PRIO_PROCESS, 0, _BESIDE_LIVE)
 
 
 @pytest.fixture(scope="session")

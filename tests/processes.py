@@ -24,7 +24,7 @@ from shared.process.entry import python
 
 ROOT = Path(__file__).resolve().parents[1]
 # Nothing is given up sooner.
-PATIENCE_SECONDS = 120.0
+PATIENCE_SECONDS = 300.0
 # A stack loads five processes one after the other, and the machine may do more besides by then.
 _LOADS = 20
 _Found = TypeVar("_Found")

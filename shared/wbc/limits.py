@@ -25,7 +25,7 @@ from shared.wbc.model import Kinematics
 # Prices ω: of a torque [1/τ̄²], of an acceleration [s⁴/rad²].
 _TORQUE_PRICE, _JOINT_PRICE = 1e5, 1e2
 # λ [1/s], and the largest acceleration that a bound asks for [rad/s²].
-_RATE, _HARDEST = 20.0, 100.0
+_RATE, _HARDEST = 20.0, np.array(100.0)
 _SQUARE_RATE, _DOUBLE_RATE = np.array(_RATE**2), np.array(2.0 * _RATE)
 _UNLIMITED = 1e9
 # A quantity so far from its bound counts as near, [1] and [rad/s²]. A projector leaves at most so
@@ -65,6 +65,11 @@ class Limits:
         self._of_rates = np.zeros(n)
         # Misses, and views of them: making a view takes as long as a sum.
         self._misses = np.zeros((2, 2 * n))
+        # x and −x of a solution; bounds of torques, and where they replace what is in b.
+        self._signed = np.zeros((2, 2 * n))
+        self._torque_bounds = np.zeros((2, 2 * n))
+        self._torque_bounds[:, :n] = self._lower[:n], self._minus_upper[:n]
+        self._of_b = np.tile(np.repeat([0.0, 1.0], n), 2)
         self._lower_misses, self._upper_misses = self._misses
         self._of_joints = self._misses[:, n:]
         self._lower_of_joints, self._upper_of_joints = self._of_joints
@@ -117,14 +122,14 @@ class Limits:
 
         `force` (nv,) is the generalised force of the solution, `a` (nv,) are its accelerations.
         """
+        x, minus_x = self._signed
         n = len(self.clamp)
-        np.multiply(force[6:], self.torque_scale, self._torques)
-        misses = of_b.copy()
-        lower, upper = misses.reshape(2, 2 * n)
-        np.subtract(self._lower[:n], self._torques, lower[:n])
-        np.add(self._minus_upper[:n], self._torques, upper[:n])
-        lower[n:] -= a[6:]
-        upper[n:] += a[6:]
+        np.multiply(force[6:], self.torque_scale, x[:n])
+        x[n:] = a[6:]
+        np.negative(x, minus_x)
+        misses: np.ndarray = self._of_b * of_b
+        misses += self._torque_bounds.reshape(-1)
+        misses -= self._signed.reshape(-1)
         return misses
 
     def near(self, misses: np.ndarray, active: np.ndarray) -> np.ndarray:

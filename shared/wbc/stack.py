@@ -13,6 +13,7 @@ The entries of the robot's own limits follow the rows of the layout, see `limits
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 from dataclasses import dataclass
@@ -53,7 +54,7 @@ class RowLayout:
     n_forces: int
     blocks: tuple[tuple[str, int], ...]
 
-    @property
+    @functools.cached_property
     def n_rows(self) -> int:
         return sum(size for _, size in self.blocks)
 

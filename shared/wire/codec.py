@@ -24,6 +24,7 @@ from shared.errors import ConfigError, MessageRefused
 from shared.robots import Robot
 from shared.wbc.answer import Factorisation, Openness, Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
+from shared.wbc.finite import all_finite
 from shared.wbc.limits import Limits
 from shared.wbc.reference import Motion
 from shared.wbc.stack import RowLayout, make_stacks
@@ -66,7 +67,6 @@ class Codec:
         }
         self._nq, self._nv = robot.model.nq, robot.model.nv
         self._dtype_name = config.wire.projector_dtype
-        self._dtype = _DTYPES[self._dtype_name]
         self._stacks = make_stacks(robot, config.wbc)
         self._layouts: dict[ContactMode, RowLayout] = {
             mode: stack.layout for mode, stack in self._stacks.items()
@@ -91,10 +91,14 @@ class Codec:
             for n_active in range(layout.n_forces + 1)
         }
         # By the size of the message: the shape and number format of its projector, and its form.
-        self._answer_forms_by_size = {
-            form.size: (self._shapes[mode], name, form)
-            for (mode, name, _), form in self._answer_forms.items()
-        }
+        # Those with open rows are too many: each is made when a message first has it.
+        self._answer_forms_by_size: dict[int, tuple[tuple[int, int], str, Form]] = {}
+        self._open_forms: dict[tuple[ContactMode, int, int], Form] = {}
+        if not self._n_limits:
+            self._answer_forms_by_size = {
+                form.size: (self._shapes[mode], name, form)
+                for (mode, name, _), form in self._answer_forms.items()
+            }
 
     def rounded(self, projector: Projector) -> Projector:
         """Return the projector as the other end will see it, after the wire's number format."""
@@ -156,7 +160,7 @@ class Codec:
 
     def encode_projector(self, message: ProjectorMessage) -> bytes:
         """Encode a `ProjectorMessage`. Raise `ConfigError` if it exceeds `DOWNLINK.max_bytes`."""
-        if len(message.projectors) == 1 and message.projectors[0].projector.open is None:
+        if len(message.projectors) == 1:
             return self._write_answer(message, message.projectors[0])
         return self.pack(
             _PROJECTOR,
@@ -193,6 +197,8 @@ class Codec:
             projectors=projectors,
         )
         judge(message.session, message.sequence)
+        if len(projectors) == 1:
+            self._form_of(projectors[0].projector)
         return message
 
     def encode_factorisations(self, message: FactorisationMessage) -> bytes:
@@ -284,13 +290,36 @@ class Codec:
             steps,
         )
 
-    def _make_answer_form(self, layout: RowLayout, dtype_name: str, n_active: int) -> Form:
+    def _form_of(self, projector: Projector) -> Form:
+        """The form of an answer with this projector alone. With open rows it is known from now."""
+        mode, n_active, opened = projector.mode, len(projector.active), projector.open
+        if opened is None:
+            return self._answer_forms[mode, self._dtype_name, n_active]
+        k = len(opened.limits)
+        form = self._open_forms.get((mode, n_active, k))
+        if form is None:
+            form = self._make_answer_form(self._layouts[mode], "float32", n_active, n_open=k)
+            self._open_forms[mode, n_active, k] = form
+        self._answer_forms_by_size[form.size] = (self._shapes[mode], "float32", form)
+        return form
+
+    def _make_answer_form(
+        self, layout: RowLayout, dtype_name: str, n_active: int, *, n_open: int | None = None
+    ) -> Form:
         numbers = layout.n_unknowns * layout.n_rows
+        opened = {}
+        if n_open is not None:
+            opened = {
+                "limits": binary(n_open),
+                "push": binary(SINGLE.itemsize * layout.n_unknowns * (n_open + layout.n_forces)),
+                "factor": binary(SINGLE.itemsize * n_open**2),
+            }
         projector = {
             "mode": SMALL,
             "layout": binary(len(layout.digest)),
             "dtype": dtype_name,
             "active": binary(n_active),
+            **opened,
             "A_dagger": binary(_DTYPES[dtype_name].itemsize * numbers),
             "valid_from_ns": INTEGER,
             "valid_until_ns": INTEGER,
@@ -311,7 +340,7 @@ class Codec:
 
     def _write_answer(self, message: ProjectorMessage, timed: TimedProjector) -> bytes:
         projector = timed.projector
-        form = self._answer_forms[projector.mode, self._dtype_name, len(projector.active)]
+        form = self._form_of(projector)
         _check_size(_PROJECTOR, form.size, DOWNLINK.max_bytes)
         return form.write(
             message.session,
@@ -323,7 +352,8 @@ class Codec:
             projector.mode,
             self._layout_digests[projector.mode],
             projector.active.astype(np.uint8).tobytes(),
-            projector.A_dagger.astype(self._dtype, copy=False).tobytes(),
+            *(() if projector.open is None else _open_fields(projector.open).values()),
+            projector.A_dagger.astype(_DTYPES[self._dtype_of(projector)], copy=False).tobytes(),
             timed.valid_from_ns,
             timed.valid_until_ns,
         )
@@ -331,7 +361,7 @@ class Codec:
     def _read_answer(self, data: bytes, judge: Judge) -> ProjectorMessage | None:
         """The answer in a message of its form, or None if it has another form or an error."""
         known = self._answer_forms_by_size.get(len(data))
-        if known is None or self._n_limits:  # a projector with open rows has no form
+        if known is None:
             return None
         shape, dtype_name, form = known
         values = form.read(data)
@@ -339,7 +369,7 @@ class Codec:
             return None
         session, sequence, stamp_ns, mode_value, tau_bytes, y_bytes, *of_projector = values
         judge(session, sequence)
-        of_mode, layout, active, numbers, from_ns, until_ns = of_projector
+        of_mode, layout, active, *of_open, numbers, from_ns, until_ns = of_projector
         if of_mode != mode_value or layout != self._layout_digests.get(of_mode):
             return None
         mode = ContactMode(of_mode)
@@ -352,9 +382,26 @@ class Codec:
             return None
         if min(session, sequence, stamp_ns, from_ns, until_ns) < -MAX_INT:
             return None
-        projector = Projector(mode, A_dagger.reshape(shape), np.array(rows, dtype=int))
+        opened = None
+        if of_open:
+            opened = self._read_open_rows(*of_open, n=shape[0])
+            if opened is None:
+                return None
+        projector = Projector(mode, A_dagger.reshape(shape), np.array(rows, dtype=int), opened)
         timed = TimedProjector(projector, from_ns, until_ns)
         return ProjectorMessage(session, sequence, stamp_ns, mode, tau, y, (timed,))
+
+    def _read_open_rows(
+        self, limits: bytes, push_bytes: bytes, factor_bytes: bytes, *, n: int
+    ) -> Openness | None:
+        """The open rows of an answer with n unknowns, or None if there is an error in them."""
+        entries = list(limits)
+        # They stay in single precision: most ticks do not need them.
+        push, factor = np.frombuffer(push_bytes, SINGLE), np.frombuffer(factor_bytes, SINGLE)
+        if not (all_finite(push) and all_finite(factor) and self._are_limits(entries)):
+            return None
+        k = len(entries)
+        return Openness(np.array(entries, dtype=int), push.reshape(n, -1), factor.reshape(k, k))
 
     def _are_active_rows(self, rows: list[int], mode: ContactMode) -> bool:
         """Return whether `rows` ascend and are rows of C."""

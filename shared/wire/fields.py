@@ -64,6 +64,6 @@ def held_sequences_of(fields: dict[str, Any]) -> tuple[int, ...] | None:
 def finite_numbers(data: bytes, dtype: np.dtype[Any] = DOUBLE) -> np.ndarray | None:
     """Return the numbers as float64, or None if one of them is not finite."""
     numbers = np.frombuffer(data, dtype)
-    if dtype is not DOUBLE:
-        numbers = numbers.astype(np.float64)
-    return numbers if all_finite(numbers) else None
+    if not all_finite(numbers):
+        return None
+    return numbers if dtype is DOUBLE else numbers.astype(np.float64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import core, floor, messages, peers
+from benchmarks import core, floor, limits, messages, peers
 from shared.config.settings import RunConfig
 from shared.robots import load_robot
 
@@ -14,7 +14,7 @@ from shared.robots import load_robot
 def no_messages(monkeypatch):
     times = np.arange(1.0, 101.0) * 1e3
     monkeypatch.setattr(messages, "measure", lambda connect: (times, times))
-    for module in (core, floor, peers):
+    for module in (core, floor, limits, peers):
         monkeypatch.setattr(module, "header", lambda: "a machine")
 
 
@@ -26,6 +26,7 @@ def no_messages(monkeypatch):
         "core --rounds 0",
         "core --against no-such-commit",
         "floor --repetitions 0",
+        "limits --rounds 0",
         "peers --rounds 0",
     ],
 )
@@ -46,6 +47,12 @@ def test_core_has_trials_alternatives_messages_and_start_up(no_messages, monkeyp
     assert "\nQP in forces, proxsuite warm " in text
     assert "\nsend 720 B" in text
     assert text.splitlines()[-1].split() == ["viewer", "0.50", "0.50–0.50"]
+
+
+def test_limits_has_a_ratio_for_each_controller_and_kind(no_messages):
+    lines = limits.run(rounds=1).splitlines()[-6:]
+    assert [line.split()[0] for line in lines] == ["LA"] * 3 + ["LC"] * 3
+    assert [line.split()[1].strip(",") for line in lines] == ["none", "torque", "torque"] * 2
 
 
 def test_floor_has_a_sum_for_each_loop(no_messages):

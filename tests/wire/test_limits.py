@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -50,6 +51,42 @@ def test_open_rows_arrive_in_single_precision(limited, stacks, rng, limits):
         np.testing.assert_array_equal(arrived, expected)
         np.testing.assert_allclose(arrived, getattr(sent.open, name), rtol=1e-7)
     np.testing.assert_array_equal(received.A_dagger, rounded.A_dagger)
+
+
+def test_an_answer_is_the_same_when_its_form_is_known(limited, stacks, rng):
+    """A receiver knows the form of an answer with so many open rows from the first one."""
+    answer, _ = answer_with(stacks[0], rng, [0, 17, 123])
+    data = limited.encode_projector(answer)
+    repacked = altered(data, lambda fields: None)
+    assert len(repacked) < len(data)
+    receiver = copy.copy(limited)
+    receiver._answer_forms_by_size = {}
+    received = [receiver.decode_projector(each) for each in (data, data, repacked)]
+    assert len(data) in receiver._answer_forms_by_size
+    for each in received:
+        opened, expected = each.projectors[0].projector.open, received[0].projectors[0]
+        np.testing.assert_array_equal(opened.limits, expected.projector.open.limits)
+        np.testing.assert_array_equal(opened.push, expected.projector.open.push)
+        np.testing.assert_array_equal(opened.factor, expected.projector.open.factor)
+        np.testing.assert_array_equal(each.tau, answer.tau)
+
+
+@pytest.mark.parametrize(
+    ("honest", "wrong", "reason"),
+    [
+        (bytes([0, 17, 123]), bytes([0, 17, 124]), "shape"),
+        (bytes([0, 17, 123]), bytes([17, 0, 123]), "shape"),
+        (np.float32(7.25).tobytes(), np.float32(np.nan).tobytes(), "not_finite"),
+    ],
+)
+def test_errors_in_an_answer_of_its_form_are_refused(limited, stacks, rng, honest, wrong, reason):
+    answer, projector = answer_with(stacks[0], rng, [0, 17, 123])
+    projector.open.push[3, 4] = 7.25
+    data = limited.encode_projector(answer)
+    assert data.count(honest) == 1
+    with pytest.raises(MessageRefused) as refused:
+        limited.decode_projector(data.replace(honest, wrong))
+    assert refused.value.reason == reason
 
 
 @pytest.mark.parametrize("with_open_rows", [True, False])
