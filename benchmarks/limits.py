@@ -17,7 +17,7 @@ from shared.config.config_file import load_config
 from shared.output.text_table import aligned
 
 _CONTROLLERS = ("la", "lc")
-_KINDS = ({}, {"torque": True}, {"torque": True, "position": True})
+_KINDS: tuple[dict[str, bool], ...] = ({}, {"torque": True}, {"torque": True, "position": True})
 _BATCH, _WARM_UP = 20, 200
 
 
