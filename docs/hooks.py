@@ -1,9 +1,10 @@
 """Hooks of MkDocs for the docs site: equations, and pages that are not in docs/.
 
-The pages can also be read in the repository. There an equation is a fence ```math, a subscript is
-`J_c`, and a link to a file outside of docs/ is relative. On the site an equation is MathML, which
-browsers show without a script, a subscript is lowered, and each such file has a page. The site also
-has the pages of `docs.reference_pages` and the notebook.
+The pages can also be read in the repository. There an equation is a fence ```math, a formula in the
+text is LaTeX between dollars, a subscript in a docstring is `J_c`, and a link to a file outside of
+docs/ is relative. On the site equations and formulas are MathML, which browsers show without a
+script, a subscript is lowered, and each such file has a page. The site also has the pages of
+`docs.reference_pages` and the notebook.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import base64
 import json
 import posixpath
 import re
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,8 @@ _PAGES = {
 _SUBSCRIPT = re.compile(
     r"((?<![\w/.])[^\W\d_][\u0300-\u036f]*|\))_([A-Za-z0-9𝒜ρ]{1,3}(?:,[a-z])?)(?![A-Za-z0-9_])"
 )
+# A formula between dollars, in the markup of pymdownx.arithmatex.
+_FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
 _TAG = re.compile(r"(<[^>]*>)")
 _VERBATIM = re.compile(r"<(/?)(?:code|pre|math|script|style|h\d)\b")
 _OUTSIDE = re.compile(r"\]\(((?:\.\./)+[^)#\s]+)")
@@ -46,9 +50,9 @@ def on_config(config: MkDocsConfig) -> None:
     fences["custom_fences"] = [{"name": "math", "class": "math", "format": mathml}]
 
 
-def mathml(source: str, *arguments: Any, **options: Any) -> str:
+def mathml(source: str, *arguments: Any, display: str = "block", **options: Any) -> str:
     """Convert an equation in LaTeX to MathML; an exception for LaTeX that stays unconverted."""
-    markup: str = convert(source, display="block")
+    markup: str = convert(source, display=display)
     if "\\" in markup or re.search("&(?!#)|mathvariant", markup):
         raise SuperFencesException(
             f"expected LaTeX that MathML can show, got an equation with other parts: {source}; "
@@ -86,8 +90,13 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
 
 def on_page_content(html: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Lower the subscripts."""
-    return with_subscripts(html)
+    """Convert the formulas in the text to MathML, and lower the subscripts of other letters."""
+    return with_subscripts(with_formulas(html))
+
+
+def with_formulas(html: str) -> str:
+    """Convert the formulas that stood between dollars to MathML within the line."""
+    return _FORMULA.sub(lambda found: mathml(unescape(found[1]), display="inline"), html)
 
 
 def with_subscripts(html: str) -> str:

@@ -11,7 +11,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from pymdownx.superfences import SuperFencesException
 
-from docs.hooks import mathml, with_subscripts
+from docs.hooks import mathml, with_formulas, with_subscripts
 from docs.reference_pages import columns_page, commands_page, messages_page
 from remote_wbc import commands
 from shared.process.cli import Group
@@ -82,7 +82,22 @@ def test_every_equation_is_shown(site, page):
     equations = (ROOT / f"docs/{page}.md").read_text().count("```math\n")
     text = (site / f"{page}.html").read_text()
     assert equations > 0
-    assert text.count("<math ") == equations
+    assert text.count('display="block"') == equations
+    assert text.count('display="inline"') > 0
+
+
+def test_a_formula_in_the_text_is_shown_as_the_equations_are():
+    shown = with_formulas(r'so <span class="arithmatex">\(C_{\mathcal{A}}^\top f &lt; 1\)</span>.')
+    # The index and the raised T are one above the other.
+    assert "<msubsup><mi>C</mi><mrow><mi>𝒜</mi></mrow><mo>⊤</mo></msubsup>" in unescape(shown)
+    assert "<mo>&#x0003C;</mo>" in shown
+    assert re.fullmatch("so <math[^>]*inline.*</math>[.]", shown)
+
+
+def test_no_page_shows_the_source_of_a_formula(site):
+    for name, text in pages(site).items():
+        prose = re.sub(r"(?s)<(pre|code|script|style)\b.*?</\1>", "", text)
+        assert re.findall(r"arithmatex|\\[a-z]+", prose) == [], name
 
 
 def test_an_equation_that_would_be_shown_as_it_is_written_is_refused():
