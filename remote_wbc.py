@@ -76,7 +76,7 @@ def main() -> NoReturn:
 
 
 def add_completion_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("shell", choices=("bash", "zsh"))
+    parser.add_argument("shell", choices=("bash", "zsh"), help="the shell")
     parser.description = (
         'Print a completion script: eval "$(wbc completion bash)" in ~/.bashrc, or wbc completion '
         "zsh > _wbc in a folder of $fpath."
@@ -96,7 +96,7 @@ def run_completion(arguments: argparse.Namespace) -> int:
 
 
 def add_link_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of both commands named `link`; the word after it tells them apart."""
+    """Add the options of both commands named `link`; the next word decides which one runs."""
     from deploy.operate import add_link_arguments as add_change_arguments
     from deploy.operate import add_stack_arguments
     from shared.wire.operator.texts import LINK_WORDS
@@ -111,14 +111,14 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
     from experiments.link import add_link_arguments as add_study_arguments
 
     parser.description = (
-        f"Try each controller over the whole link NETWORK; or change the link of a running stack, "
+        f"Try each controller over the whole link NETWORK. Or change the link of a running stack, "
         f"if NETWORK is one of {', '.join(LINK_WORDS)}: wbc link cut, wbc link delay 80ms, wbc "
         "link loss 10%, wbc link profile factory/011, wbc link outage 300ms. A file of such a name "
         "needs its folder: ./cut."
     )
     add_study_arguments(parser)
     parser.add_argument(
-        "value", metavar="VALUE", nargs="?", help="of a change to a running stack, as in 80ms"
+        "value", metavar="VALUE", nargs="?", help="value of a change to a running stack, as in 80ms"
     )
     add_stack_arguments(parser.add_argument_group("a change to a running stack"))
 
@@ -156,11 +156,11 @@ def commands() -> list[Subcommand | Group]:
     return [
         *(link if each.name == "link" else each for each in DEPLOY),
         *(each for each in EXPERIMENTS if each.name != "link"),
-        Group("plant", "a plant of your own", PLANT),
-        Group("robot", "a robot of your own", ROBOT),
+        Group("plant", "check your own plant", PLANT),
+        Group("robot", "check your own robot", ROBOT),
         Group("netem", "the emulated link: profiles, importers, the shim", NETEM),
         Group("viewer", "watch a run, or look at finished runs", VIEWER),
-        Group("bench", "speed and exactness on this machine", BENCHMARKS),
+        Group("bench", "benchmarks of speed and accuracy on this machine", BENCHMARKS),
         Subcommand("completion", "completion for bash or zsh", "remote_wbc"),
     ]
 

@@ -1,1 +1,1 @@
-"""Speed, measured in one run on one pinned core, and stated with machine and versions."""
+"""Benchmarks, measured in one run on one pinned core and stated with machine and versions."""

@@ -1,4 +1,4 @@
-"""Speed and exactness on this machine."""
+"""Benchmarks of speed and accuracy on this machine."""
 
 from __future__ import annotations
 
@@ -9,20 +9,28 @@ begin(__name__)
 from shared.process.cli import Subcommand, run, run_command
 
 COMMANDS = (
-    Subcommand("capacity", "recorded delays given back", "benchmarks.commands"),
-    Subcommand("core", "where the time goes; or ratios to another commit", "benchmarks.commands"),
-    Subcommand("faults", "faults on purpose, and the promises", "benchmarks.faults.campaign"),
-    Subcommand("floor", "what no Python can beat", "benchmarks.commands"),
-    Subcommand("limits", "what the robot's own limits cost a tick", "benchmarks.commands"),
-    Subcommand("lockstep", "speed of a trial", "benchmarks.commands"),
-    Subcommand("netem", "how exactly the link is emulated", "benchmarks.commands"),
-    Subcommand("peers", "beside TSID and placo, in ratios", "benchmarks.commands"),
-    Subcommand("recording", "recorded against replayed delays", "benchmarks.commands"),
     Subcommand(
-        "real-path", "two namespaces and a slow cable, as root", "benchmarks.real_path.measure"
+        "capacity", "accuracy of the delays that a derived capacity gives", "benchmarks.commands"
+    ),
+    Subcommand(
+        "core", "time of each part of a tick; or ratios to another commit", "benchmarks.commands"
+    ),
+    Subcommand(
+        "faults", "play faults and check the promises about them", "benchmarks.faults.campaign"
+    ),
+    Subcommand("floor", "lower bound of the time of a tick in Python", "benchmarks.commands"),
+    Subcommand("limits", "cost of the robot's own limits in a tick", "benchmarks.commands"),
+    Subcommand("lockstep", "speed of a trial", "benchmarks.commands"),
+    Subcommand("netem", "accuracy of the emulated link", "benchmarks.commands"),
+    Subcommand("peers", "times of a step as ratios to TSID and placo", "benchmarks.commands"),
+    Subcommand("recording", "difference of recorded and replayed delays", "benchmarks.commands"),
+    Subcommand(
+        "real-path",
+        "robot and edge in two namespaces on a slow cable, as root",
+        "benchmarks.real_path.measure",
     ),
     Subcommand("session", "random commands to a live stack", "benchmarks.commands"),
-    Subcommand("viewer", "whether watching disturbs the robot", "benchmarks.commands"),
+    Subcommand("viewer", "effect of a viewer on the robot", "benchmarks.commands"),
 )
 
 

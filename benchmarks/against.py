@@ -1,8 +1,8 @@
 """Comparison of this checkout with another commit of the project, as ratios measured in one run.
 
 The other commit is checked out into a temporary folder. A separate process in this environment
-plays it. The two commits take turns, trial by trial, so that the other load of the machine meets
-both.
+plays it. The two commits take turns, trial by trial, so that other work of the machine affects both
+alike.
 """
 
 from __future__ import annotations

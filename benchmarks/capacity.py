@@ -1,8 +1,8 @@
 """Comparison of the recorded delays with the delays that the derived capacity gives.
 
 The recorded load, one message per millisecond each way, is sent through the queue of
-`capacity:NAME`. Messages that leave after the end of the recording are left out, because nothing is
-known of the link then. A tenth and a hundredth of the load show the delays of a smaller load.
+`capacity:NAME`. Messages that leave after the end of the recording are left out, because the link
+is unknown then. A tenth and a hundredth of the load show the delays of a smaller load.
 """
 
 from __future__ import annotations

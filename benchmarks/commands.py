@@ -24,11 +24,26 @@ from shared.process.cli import EXIT_STANDING
 
 
 def add_core_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repetitions", type=int, default=2000, help="of single calls; 2000")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=2.0, help="of each trial; 2")
-    parser.add_argument("--against", metavar="COMMIT", help="ratios to this commit instead")
-    parser.add_argument("--rounds", type=int, default=10, help="with --against; 10")
+    parser.add_argument(
+        "--repetitions",
+        type=int,
+        default=2000,
+        help="repetitions of a single call (default %(default)s)",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the states (default 0)")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=2.0,
+        help="duration of each trial [s] (default %(default)g)",
+    )
+    parser.add_argument("--against", metavar="COMMIT", help="print ratios to this commit instead")
+    parser.add_argument(
+        "--rounds",
+        type=int,
+        default=10,
+        help="rounds of trials, with --against (default %(default)s)",
+    )
 
 
 def run_core(arguments: argparse.Namespace) -> int:
@@ -52,7 +67,12 @@ def run_core(arguments: argparse.Namespace) -> int:
 
 
 def add_floor_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repetitions", type=int, default=2000, help="of each call; 2000")
+    parser.add_argument(
+        "--repetitions",
+        type=int,
+        default=2000,
+        help="repetitions of each call (default %(default)s)",
+    )
 
 
 def run_floor(arguments: argparse.Namespace) -> int:
@@ -63,7 +83,9 @@ def run_floor(arguments: argparse.Namespace) -> int:
 
 
 def add_peers_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rounds", type=int, default=40, help="of all states for each; 40")
+    parser.add_argument(
+        "--rounds", type=int, default=40, help="rounds of all states (default %(default)s)"
+    )
 
 
 def run_peers(arguments: argparse.Namespace) -> int:
@@ -79,7 +101,12 @@ def _check_count(flag: str, count: int) -> None:
 
 
 def add_netem_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=10.0,
+        help="duration of each measurement [s] (default %(default)g)",
+    )
 
 
 def run_netem(arguments: argparse.Namespace) -> int:
@@ -102,7 +129,12 @@ def run_capacity(arguments: argparse.Namespace) -> int:
 
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each recording; 10")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=10.0,
+        help="duration of each recording [s] (default %(default)g)",
+    )
 
 
 def run_recording(arguments: argparse.Namespace) -> int:
@@ -125,8 +157,12 @@ def run_limits(arguments: argparse.Namespace) -> int:
 
 
 def add_lockstep_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repetitions", type=int, default=3, help="of each trial; 3")
-    parser.add_argument("--seconds", type=float, help="of each trial; default: all of it")
+    parser.add_argument(
+        "--repetitions", type=int, default=3, help="repetitions of each trial (default %(default)s)"
+    )
+    parser.add_argument(
+        "--seconds", type=float, help="duration of each trial [s] (default: its whole task)"
+    )
 
 
 def run_lockstep(arguments: argparse.Namespace) -> int:
@@ -138,8 +174,10 @@ def run_lockstep(arguments: argparse.Namespace) -> int:
 
 
 def add_session_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seed", type=int, default=0, help="of the commands; 0")
-    parser.add_argument("--minutes", type=float, default=10.0, help="of commands; 10")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the commands (default 0)")
+    parser.add_argument(
+        "--minutes", type=float, default=10.0, help="duration [min] (default %(default)g)"
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, help="keep the run in DIR/run")
 
 
@@ -152,8 +190,12 @@ def run_session(arguments: argparse.Namespace) -> int:
 
 
 def add_viewer_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repetitions", type=int, default=5, help="of each run; 5")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each run; 10")
+    parser.add_argument(
+        "--repetitions", type=int, default=5, help="repetitions of each run (default %(default)s)"
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=10.0, help="duration of each run [s] (default %(default)g)"
+    )
 
 
 def run_viewer(arguments: argparse.Namespace) -> int:

@@ -1,8 +1,9 @@
 """Time of the robot's tick and the edge's step by their parts, of messages and of start-up.
 
-The parts are timed within trials (`benchmarks.in_loop`). No trial uses the other back ends of the
-QP and the other levels of correction. They are timed call after call, which takes half as long. The
-states are those of a disturbed standing robot, so that active sets differ from call to call.
+The parts are timed within trials (`benchmarks.in_loop`). The other back ends of the QP and the
+other levels of correction are in no trial. They are timed call after call, which gives about half
+the time. The states are those of a disturbed standing robot, so that active sets differ from call
+to call.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Lower bound of a tick and of an edge's step in Python: the calls that they cannot do without.
+"""Lower bound of a tick and of an edge's step in Python: the calls that neither can avoid.
 
 The calls are bare ones of Pinocchio, LAPACK, daqp and Zenoh, and the move of a message's bytes.
 They run one after the other on warm caches. No tick takes less than the sum of its calls.

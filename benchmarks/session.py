@@ -41,7 +41,7 @@ _FELL = "the robot has fallen"
 def commands(seed: int) -> Iterator[tuple[Command, float]]:
     """Yield commands without an end, each with the time until the next one [s].
 
-    What a command disturbs, a later one mends: a link that is cut, a robot that stands still.
+    A later command undoes the disturbance of an earlier one, for example a cut link or a pause.
     """
     random = np.random.default_rng(seed)
     mending = {"link cut": "link restore", "pause": "resume", "speed 0.5": "speed 1"}

@@ -1,9 +1,10 @@
 """Effect of a viewer on the robot: ticks of live runs with a good viewer, a bad one and none.
 
-The same balance runs over the same link, again and again. There is no viewer; the view is recorded
-and served to a browser; or the viewer runs only now and then, is stopped for good, or is killed.
-The robot's ticks come from its telemetry: the computing time of a tick, how late it begins, and the
-number of overruns. No browser or window is opened: its load belongs to its own machine.
+The same balance runs over the same link, again and again. In one case there is no viewer, and in
+one the view is recorded and served to a browser. In the others the viewer runs only now and then,
+is stopped for good, or is killed. The robot's ticks come from its telemetry: the computing time of
+a tick, how late it begins, and the number of overruns. No browser or window is opened: its load
+belongs to its own machine.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Gamepad:
 
     @property
     def wanted(self) -> Drive | None:
-        """The velocity by its sticks; None unless a shoulder button is held."""
+        """The velocity that the sticks ask for; None unless a shoulder button is held."""
         if self._pressed.isdisjoint(_SHOULDERS):
             return None
         forward, left, turning = (
@@ -74,7 +74,7 @@ class Gamepad:
 
 
 class Hand:
-    """The wish of the hand on the keys: the last key, until it is let go."""
+    """The velocity that the keys ask for: that of the last key, until it is let go."""
 
     def __init__(self) -> None:
         self._wanted = _STOP
@@ -86,7 +86,7 @@ class Hand:
             self._wanted, self._typed_at = KEYS.get(typed[-1].lower(), _STOP), now
 
     def wanted(self, now: float) -> Drive:
-        """Return the velocity that is wanted `now` [s]."""
+        """Return the velocity that the keys ask for at the time `now` [s]."""
         return self._wanted if now - self._typed_at < _LET_GO_SECONDS else _STOP
 
 

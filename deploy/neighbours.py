@@ -1,4 +1,4 @@
-"""Other work on this machine: other stacks, and the cores that the processes of others take."""
+"""Other work on this machine: other stacks, and the cores that other processes take."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _WORK = (1, 2, 3, 6, 7, 8)
 
 
 class Neighbours:
-    """Watches the processes of all users on this machine that are not of this run.
+    """Watches the processes of all users on this machine that do not belong to this run.
 
-    `most` is the largest number of other stacks so far, `cores` the mean number of cores that
-    others took between the first and the last look; None before the second.
+    `most` is the largest number of other stacks so far. `cores` is the mean number of cores that
+    other processes took between the first and the last look, None before the second look.
     """
 
     def __init__(self, proc: Path = _PROC) -> None:

@@ -2,8 +2,8 @@
 
 They go over the stack's control socket, which only this user can reach, and on from there over its
 telemetry hub, never over the link under test. The stack answers each with the time at which it
-takes effect, and records it in the run's folder. This module loads little, so that a command comes
-to the stack at once.
+takes effect, and records it in the run's folder. This module imports little, so that a command
+reaches the stack at once.
 """
 
 from __future__ import annotations
@@ -23,17 +23,22 @@ from shared.wire.operator.texts import LINK_WORDS, parse_command
 
 
 def add_push_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("force", metavar="FORCE", help="as in 120N")
+    parser.add_argument("force", metavar="FORCE", help="force, as in 120N")
     way = parser.add_mutually_exclusive_group(required=True)
     way.add_argument(
-        "direction", metavar="DIRECTION", nargs="?", help="±x, ±y, ±z or ±x±y of the world"
+        "direction",
+        metavar="DIRECTION",
+        nargs="?",
+        help="direction in the world: ±x, ±y, ±z or ±x±y",
     )
     for name in ("-x", "-y", "-z", "-x+y", "-x-y"):
         # Otherwise argparse takes them for options that it does not know.
         way.add_argument(
             name, action="store_const", const=name, dest="direction", help=argparse.SUPPRESS
         )
-    parser.add_argument("--for", dest="lasts", metavar="0.2s", default="0.2s", help="(0.2s)")
+    parser.add_argument(
+        "--for", dest="lasts", metavar="0.2s", default="0.2s", help="duration (default 0.2s)"
+    )
     add_stack_arguments(parser)
 
 
@@ -43,8 +48,12 @@ def run_push(arguments: argparse.Namespace) -> int:
 
 
 def add_link_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("change", metavar="CHANGE", help=f"one of {', '.join(LINK_WORDS)}")
-    parser.add_argument("value", metavar="VALUE", nargs="?", help="as in delay 80ms, loss 10%%")
+    parser.add_argument(
+        "change", metavar="CHANGE", help=f"change of the link, one of {', '.join(LINK_WORDS)}"
+    )
+    parser.add_argument(
+        "value", metavar="VALUE", nargs="?", help="value of the change, as in delay 80ms, loss 10%%"
+    )
     add_stack_arguments(parser)
 
 
@@ -63,7 +72,9 @@ def add_controller_arguments(parser: argparse.ArgumentParser) -> None:
     from shared.config.extensions import CONTROLLERS
 
     names = ", ".join(CONTROLLERS.own)
-    parser.add_argument("controller", metavar="NAME", help=f"one of {names}, or your own")
+    parser.add_argument(
+        "controller", metavar="NAME", help=f"controller: one of {names}, or your own"
+    )
     add_stack_arguments(parser)
 
 
@@ -74,7 +85,11 @@ def run_controller(arguments: argparse.Namespace) -> int:
 
 def add_step_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "ticks", metavar="TICKS", nargs="?", default="1", help="as in 10, or 20ms (1)"
+        "ticks",
+        metavar="TICKS",
+        nargs="?",
+        default="1",
+        help="number as in 10, or time as in 20ms (default 1)",
     )
     add_stack_arguments(parser)
 
@@ -85,7 +100,7 @@ def run_step(arguments: argparse.Namespace) -> int:
 
 
 def add_speed_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("factor", metavar="FACTOR", help="× real time, 0.01 to 1")
+    parser.add_argument("factor", metavar="FACTOR", help="speed, × real time, 0.01 to 1")
     add_stack_arguments(parser)
 
 
@@ -95,9 +110,9 @@ def run_speed(arguments: argparse.Namespace) -> int:
 
 
 def add_go_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("x", metavar="X", help="place in the plan's frame [m]")
-    parser.add_argument("y", metavar="Y", help="[m], positive: to the left")
-    parser.add_argument("yaw", metavar="YAW", help="heading as in 1.57, or 90deg")
+    parser.add_argument("x", metavar="X", help="place in the plan's frame, forward [m]")
+    parser.add_argument("y", metavar="Y", help="place in the plan's frame, to the left [m]")
+    parser.add_argument("yaw", metavar="YAW", help="heading [rad], or as in 90deg")
     add_stack_arguments(parser)
 
 
@@ -174,7 +189,9 @@ def service_of(command: Command) -> str:
 
 
 def _stack_for(command: Command, *, run: Path | None, robot: str | None) -> StackFolder:
-    """Return the stack that a command is for; raise `ConfigError` if it is not one alone."""
+    """Return the stack that a command is for; raise `ConfigError` if there is none, or if there are
+    several.
+    """
     if run is not None:
         folder = StackFolder(run)
         found = [(folder, folder.read())] if folder.alive else []

@@ -105,7 +105,7 @@ def is_running(run: Path) -> bool:
 
 
 def set_aside(run: Path) -> None:
-    """Move the files of an earlier run into the folder `previous`, in place of those there."""
+    """Move the files of an earlier run into the folder `previous`, replacing its files."""
     kept = [run / f"{name}.{kind}" for stem in STEMS for name in lives(run, stem) for kind in KINDS]
     others = (run / SUMMARY, run / "recording.rrd", run / EVENTS_FILE)
     kept = [file for file in (*kept, *others) if file.exists()]
@@ -121,7 +121,7 @@ def set_aside(run: Path) -> None:
 def record(run: Path, say: Callable[[str], None]) -> None:
     """Make the recording of a run from its files, if no viewer recorded the whole run.
 
-    Rerun may wait for ever where it cannot write. A process that does nothing is ended.
+    Rerun may wait for ever if it cannot write. A process without progress is ended.
     """
     with subprocess.Popen(
         python("-m", "viewer", "record", str(run)),
@@ -242,7 +242,9 @@ def _edge_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, A
 
 
 def _link_report(rows: np.ndarray, reports: list[dict[str, Any]]) -> dict[str, Any]:
-    """The report of several lives. Each began the profile anew, so that no place in it holds."""
+    """The report of several lives. Each life began the profile anew, so the report has no place in
+    the profile.
+    """
     passes = sum(report["profile_passes"] for report in reports)
     profile = {key: reports[-1][key] for key in ("profile", "profile_worst_outage")}
     return link_report(rows, profile=profile, passes=passes)

@@ -23,7 +23,7 @@ _CHAIN = (EDGE, ROUTER, NETEM, ROBOT)
 
 @dataclass(frozen=True)
 class Options:
-    """The flags that say which services run here and where the others are.
+    """The flags that name the services of this machine, and the places of the others.
 
     `edge`, `router` and `listen` are endpoints; `secure` is the folder of certificates.
     """
@@ -37,7 +37,7 @@ class Options:
 
 @dataclass(frozen=True)
 class PlannedService:
-    """A service, and its `arguments` for `python -m` without the flags that it `takes`."""
+    """A service and its `arguments` for `python -m`. It also gets the flags that it `takes`."""
 
     service: Service
     arguments: tuple[str, ...]

@@ -17,7 +17,7 @@ DEMO = tuple(
 
 
 class Sender:
-    """Sends commands, one after another, without holding up the loop; refusals are `said`."""
+    """Sends commands, one after another, without holding up the loop. Refusals are printed."""
 
     def __init__(self, client: CommandClient, say: Callable[[str], None]) -> None:
         self._client = client

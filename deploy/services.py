@@ -63,7 +63,7 @@ class Service:
 
     @property
     def window_seconds(self) -> float:
-        """The length of a life after which earlier failures do not count any more [s]."""
+        """The length of a life after which earlier failures no longer count [s]."""
         match = _RESTART.fullmatch(self.restart)
         return float(match[2]) if match is not None and match[2] else float("inf")
 

@@ -1,4 +1,6 @@
-"""Run the services of a plan: start them in order, watch them, end them together, sum up."""
+"""Run the services of a plan: start them in order, watch them, end them together, write the
+summary.
+"""
 
 from __future__ import annotations
 
@@ -210,7 +212,7 @@ class StackRun:
         self._end_at_interrupt()
 
     def _end_at_interrupt(self) -> None:
-        """Let the next Ctrl-C end everything at once, also while this process waits for another."""
+        """Let the next Ctrl-C end all processes at once, even while this process waits for one."""
 
         def end(number: int, frame: FrameType | None) -> NoReturn:
             self._supervisor.kill()
@@ -227,7 +229,7 @@ class StackRun:
             signal.signal(signal.SIGINT, end)
 
     def _last_words(self, code: int) -> str:
-        """Return the outcome of a run without a summary: the robot's own last line."""
+        """Return the outcome of a run without a summary: the robot's last line."""
         if self._run.plan.has(ROBOT) and code in (EXIT_STANDING, EXIT_FELL):
             return self._supervisor.last_line(ROBOT)
         return "stopped"
@@ -289,11 +291,11 @@ class StackRun:
             sending.cancel()
 
     def _note_view(self, loop: asyncio.AbstractEventLoop, delivery: Delivery) -> None:
-        """Note that somebody sees the view; called on the bus's thread."""
+        """Note that a viewer shows the run; called on the bus's thread."""
         loop.call_soon_threadsafe(self._seen.set)
 
     async def _until_seen(self) -> None:
-        """Wait until somebody sees the view, or presses Enter, or for `_SEEN_SECONDS`."""
+        """Wait until a viewer shows the run, until Enter is pressed, or for `_SEEN_SECONDS`."""
         if not (self._run.seen and self._watched) or self._stop.is_set():
             return
         self._say(
@@ -378,7 +380,7 @@ class StackRun:
         raise LinkError(text)
 
     def _look(self, *, again: bool = False) -> None:
-        """Look for what else runs here, once in `_LOOK_SECONDS` or `again` now."""
+        """Look at the other processes of this machine, once in `_LOOK_SECONDS`, or `again` now."""
         now = time.monotonic()
         if again or now >= self._look_at:
             self._look_at = now + _LOOK_SECONDS

@@ -185,7 +185,7 @@ class Supervisor:
                 kill_group(child.process)
 
     async def _tell_waiting(self, children: Sequence[_Child]) -> None:
-        """Tell after a while which services have not ended yet."""
+        """Print after a while which services have not ended yet."""
         await asyncio.sleep(_TELL_SECONDS)
         left = [each for each in children if each.process.returncode is None]
         if left:
@@ -245,7 +245,9 @@ class Supervisor:
         await self._finish(child)
 
     async def _life(self, child: _Child) -> int:
-        """Wait for the end of a process, and return its code. A long life forgives failures."""
+        """Wait for the end of a process, and return its code. After a long life earlier failures no
+        longer count.
+        """
         service = child.launch.service
         if child.failures:
             seconds, began = service.window_seconds, time.monotonic()

@@ -177,7 +177,7 @@ def add_up_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _is_demo(arguments: argparse.Namespace) -> bool:
-    """Return whether no option describes the run; where it is shown does not matter."""
+    """Return whether no option describes the run. Options for the view do not count."""
     options = vars(arguments).items()
     given = {name for name, value in options if value not in (None, False)}
     return arguments.view != "off" and given <= _NOT_OF_THE_RUN

@@ -68,7 +68,7 @@ def _command(
         if rows:
             # argparse's own groups are "positional arguments" and "options".
             name = group.title or ""
-            title = "option" if name in ("positional arguments", "options") else _cell(name)
+            title = {"positional arguments": "argument", "options": "option"}.get(name, _cell(name))
             yield "\n".join([f"| {title} | |", "|---|---|", *rows]) + "\n"
     if parser.epilog:
         yield f"{parser.epilog}\n"

@@ -172,7 +172,7 @@ def _share(text: str) -> float:
 def _serve_commands(
     hub: ZenohBus, node: EdgeNode, robots: tuple[str, ...], script: Sequence[CommandEvent]
 ) -> None:
-    """Carry out the commands of an operator and of a script about where to walk."""
+    """Carry out an operator's and a script's commands to walk."""
     times = RobotTimes(hub, lambda text: print(text, flush=True))
 
     def carry_out(command: Command) -> Accepted:

@@ -1,4 +1,4 @@
-"""Reports which robots come to an edge and leave it, and which ones it refuses."""
+"""Reports robots that come to an edge, leave it, or are refused."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ def footsteps(
     elif report.phase == 0:
         swing = Foot.RIGHT if (advance[1] or advance[2]) < 0 else Foot.LEFT
     elif report.phase_ns * 1e-9 < _STANDS:
-        # The robot has just landed, and its DCM is on its way to the foot that bears next.
+        # The robot has just landed, and its DCM is on its way to the next support foot.
         swing = max(Foot, key=lambda foot: math.dist(dcm, (feet[foot].x, feet[foot].y)))
     else:
         # The foot that is behind on the path.
@@ -200,7 +200,7 @@ def footsteps(
     for k in range(steps):
         support = feet[other(swing)]
         side = 0.5 * width if swing is Foot.LEFT else -0.5 * width
-        # The path goes through the middle: half a width beside the bearing foot.
+        # The path goes through the middle: half a width beside the support foot.
         yaw = support.yaw
         x = support.x - math.sin(yaw) * side
         y = support.y + math.cos(yaw) * side

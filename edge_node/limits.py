@@ -1,7 +1,7 @@
 """The states that a robot can be in. Others are faults of a sensor or of a message.
 
-A fall may leave these limits, but not at a jump: `Sessions` lets a state pass to which the states
-before it lead.
+A fall may leave these limits gradually: `Sessions` accepts a state to which the earlier states
+lead.
 """
 
 from __future__ import annotations

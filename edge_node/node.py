@@ -91,7 +91,7 @@ class EdgeNode:
         return sum(self.refused_from.values(), RefusalCounter())
 
     def receive(self, data: bytes, now_ns: int, *, robot: str = "") -> None:
-        """Take a message in that has arrived on the key of `robot`.
+        """Take in a message that has arrived on the key of `robot`.
 
         Keep its state if it is valid and newer than the last one of its session.
         """
@@ -116,7 +116,7 @@ class EdgeNode:
         return None
 
     def steer(self, command: EdgeCommand) -> bool:
-        """Carry out an operator's command. Return whether it says anything new.
+        """Carry out an operator's command. Return whether it changes the goal or the velocity.
 
         Raise `ConfigError` if the robots do not step by touch. This may run on any thread.
         """
@@ -243,8 +243,9 @@ class EdgeNode:
     ) -> tuple[TimedProjector, ...]:
         """The projector of a contact mode that a robot may enter by itself at any time.
 
-        On both feet those of its two feet take turns, because three are too long for a message. So
-        are two in double precision, or with more than `room` [bytes] for the second one's numbers.
+        On both feet the modes of the two feet take turns, because three projectors are too long for
+        a message. Two are too long in double precision, or if the second one takes more than `room`
+        [bytes].
         """
         if self._config.wire.projector_dtype != "float32":
             return ()

@@ -1,7 +1,7 @@
 """The edge's planners: where the robot goes, as footsteps to a stand.
 
-A planner is asked at a state, in the robot's own phase. It answers with a complete plan from that
-phase on, or None if the robot shall stand. The robot's step law moves the footsteps when it must.
+A planner gets a state with the robot's own phase. It returns a complete plan from that phase on, or
+None if the robot shall stand. The robot's step law moves the footsteps when necessary.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ class Velocity:
 class Planner(Protocol):
     """The footsteps of a robot.
 
-    It is asked until it has a plan for the present phase, and one that `reacts` also after that.
+    The edge asks it until it has a plan for the present phase, and a planner that `reacts` also
+    after that.
     """
 
     reacts: bool
@@ -164,7 +165,8 @@ class ReactivePlanner:
 class WalkPlanner:
     """The steps of the task `walk`: equal ones, of which the last brings the feet together.
 
-    The path goes on from where the feet are. A step that a push has moved is not made up for.
+    The path goes on from where the feet are. The path does not make up for a step that a push has
+    moved.
     """
 
     reacts = False
@@ -206,7 +208,7 @@ class PathPlanner:
         self._walk = config.walk
 
     def steer(self, command: EdgeCommand) -> bool:
-        """Take a goal or a velocity from a command. Return whether it is another one."""
+        """Take a goal or a velocity from a command. Return whether it is not the present one."""
         before = self.goal, self.velocity
         if isinstance(command, Go):
             self.goal, self.velocity = (command.x, command.y, command.yaw), Velocity()
@@ -298,7 +300,9 @@ class GroundPlanner:
         )
 
     def _done(self, report: StepReport) -> int | None:
-        """Return how many steps of the way bring the feet where they are; None if none do."""
+        """Return how many steps of the way lead to the present footprints; None if no part of it
+        does.
+        """
         feet = dict(self._start)
         places = [dict(feet)]
         for step in self._steps:
@@ -326,7 +330,7 @@ class GroundPlanner:
 
 
 def _bounded(advance: tuple[float, float, float]) -> tuple[float, float, float]:
-    """The same advance, made smaller as a whole so that each part is within what a step can do."""
+    """The same advance, scaled down as a whole so that a step can make each of its parts."""
     ratio = max(1.0, *(abs(each) / most for each, most in zip(advance, _MOST, strict=True)))
     return advance[0] / ratio, advance[1] / ratio, advance[2] / ratio
 

@@ -15,9 +15,9 @@ _JUMP = 0.5
 class PostureEstimate:
     """Joint positions [rad], carried on by the measured velocities, their noise averaged out.
 
-    `now` (nv − 6,) is where the joints are. The time constant of the average is `average_ns`; as it
-    corrects a prediction, steady motion makes no lag. A joint that jumps is not followed; if jumps
-    have come for as long as a prediction holds, the average begins anew.
+    `now` (nv − 6,) is where the joints are. The time constant of the average is `average_ns`;
+    because it corrects a prediction, it does not lag behind a steady motion. The average ignores a
+    joint that jumps. If jumps last longer than a prediction holds, the average begins anew.
     """
 
     def __init__(self, average_ns: int) -> None:
@@ -56,7 +56,7 @@ class PostureEstimate:
         """Joint positions after a motion of `distance` [rad], root mean square over the joints; (nv
         − 6,).
 
-        The positions are less far ahead if velocities cannot tell as far as `distance`.
+        The positions are less far ahead if the velocities cannot predict that far.
         """
         speed = math.sqrt(self._v @ self._v / len(self._v))
         seconds = min(distance / speed, _LEAD_SECONDS) if speed > 0.0 else 0.0

@@ -1,8 +1,8 @@
 """Schedule of a locally corrected robot's factorisations: it lacks one, or has moved away from it.
 
 Each state names the factorisations that the robot holds. The edge therefore replaces a lost one,
-and serves a robot that has just joined or come back, without a handshake. After a while with
-nothing to send, an empty answer says that the edge is there.
+and serves a robot that has just joined or come back, without a handshake. After a while without a
+factorisation to send, an empty answer shows that the edge runs.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The robots at an edge: for each start of each robot its newest state, and what belongs to it.
 
 A robot's sequence and clock cannot run ahead of the edge's own clock. A state that claims so is
-refused: taken, it would make all honest states after it stale. If nothing but refused states comes
-for a while, the one taken was wrong, and the session begins anew. A state in which no robot can be
+refused, because all later honest states would be stale beside it. If only refused states come for a
+while, the last taken state was wrong, and the session begins anew. A state in which no robot can be
 is refused, unless the states before it lead there, as in a fall. Sessions are served in turn, each
 with its newest state, so that a robot that sends too much takes no time from the others.
 """
@@ -63,7 +63,9 @@ class RobotSession:
         self._refused_since_ns: int | None = None
 
     def take(self, state: RobotState, *, now_ns: int) -> None:
-        """Take a state that has arrived. Raise `MessageRefused` if it is not newer, or ahead."""
+        """Take a state that has arrived. Raise `MessageRefused` if it is not newer than the last
+        one, or too far ahead.
+        """
         clock_ns = state.stamp_ns - now_ns
         ticks_ns = state.sequence * self._period_ns - now_ns
         last = self._last

@@ -44,7 +44,7 @@ class StepPlanning:
         self._standing = Standing(robot).reference(0)
 
     def steer(self, command: EdgeCommand) -> bool:
-        """Let the robots walk as a command says. Return whether that is anything new."""
+        """Let the robots walk as a command says. Return whether the command changes anything."""
         new = self._path.steer(command) or self.planner is not self._path
         self.planner = self._path
         self.steered += new
@@ -69,9 +69,10 @@ class StepPlanning:
 
 
 def edges(robot: Robot, ground: Ground) -> tuple[NoGo, ...]:
-    """Return where a sole that looks along x would be on an edge of the ground, or in a hole.
+    """Return the places where a sole that points along x would be on an edge of the ground, or in a
+    hole.
 
-    Of more than a law can have, those nearest to the origin count.
+    If there are more than a law can have, the ones nearest to the origin are returned.
     """
     sole = robot.soles[0]
     back, front = sole.x

@@ -14,28 +14,44 @@ COMMANDS = (
     Subcommand("trial", "play one trial and print its summary", "experiments.trial"),
     Subcommand("link", "try each controller over a whole link", "experiments.link"),
     Subcommand("sweep", "play a study and print its table", f"{_STUDIES}.sweep"),
-    Subcommand("run", "the paper's tables and figures", f"{_REPRODUCTION}.run", "reproduction"),
+    Subcommand(
+        "run",
+        "play and print the paper's tables and figures",
+        f"{_REPRODUCTION}.run",
+        "reproduction",
+    ),
     Subcommand("report", "write a page of the results of `run`", f"{_REPRODUCTION}.report"),
     Subcommand("check", "play trials of a finished sweep again", f"{_STUDIES}.check"),
-    Subcommand("atlas", "map how often a robot falls: delay × push", "experiments.atlas"),
+    Subcommand("atlas", "draw a map of falls over delay and push", "experiments.atlas"),
     Subcommand("figure", "draw the results of a sweep", "experiments.figure"),
     Subcommand(
         "corrections",
-        "measure at random states how stale a factorisation may be",
+        "measure the limits of a stale factorisation at random states",
         f"{_STUDIES}.corrections",
     ),
     Subcommand("new", "make a package for a controller, task or robot", "experiments.new"),
     Subcommand("config", "print the settings of a run", "experiments.resolved"),
-    Subcommand("settings", "write the tables of all settings", "experiments.settings_page"),
+    Subcommand(
+        "settings",
+        "write the tables of all settings into docs/configuration.md",
+        "experiments.settings_page",
+    ),
 )
 
 ROBOT_COMMANDS = (
     Subcommand(
-        "check", "check a robot file, and play it", "experiments.robot_check", "robot_check"
+        "check",
+        "check a robot file and play trials with it",
+        "experiments.robot_check",
+        "robot_check",
     ),
 )
 
-PLANT_COMMANDS = (Subcommand("check", "check a plant", "experiments.plant_check", "plant_check"),)
+PLANT_COMMANDS = (
+    Subcommand(
+        "check", "check the conventions of a plant", "experiments.plant_check", "plant_check"
+    ),
+)
 
 
 def main() -> int:

@@ -52,19 +52,31 @@ def add_atlas_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `atlas`."""
     parser.add_argument("--config", type=Path, metavar="FILE.toml", help="settings of all trials")
     parser.add_argument(
-        "--task", help=f"one of {', '.join(TASKS.own)}; default: the file's, or balance"
+        "--task", help=f"one of {', '.join(TASKS.own)} (default: the file's, or balance)"
     )
-    parser.add_argument("--robot", metavar="NAME", help="default: the file's, or romeo")
-    parser.add_argument("--controllers", default="pr,la,lc", metavar="pr,la,…")
-    parser.add_argument("--delays", default=DEFAULT_DELAYS, metavar="0ms,25ms,…")
+    parser.add_argument("--robot", metavar="NAME", help="a robot (default: the file's, or romeo)")
+    parser.add_argument(
+        "--controllers", default="pr,la,lc", metavar="pr,la,…", help="the controllers"
+    )
+    parser.add_argument(
+        "--delays", default=DEFAULT_DELAYS, metavar="0ms,25ms,…", help="the round trips"
+    )
     parser.add_argument("--pushes", metavar="0N,60N,…", help="forces on the base")
-    parser.add_argument("--direction", default="+y", help="direction of the pushes: --direction=-x")
+    parser.add_argument(
+        "--direction", default="+y", help="direction of the pushes, as in --direction=-x"
+    )
     parser.add_argument("--push-at", metavar="1.0s", help="time at which the push begins")
     parser.add_argument("--push-for", default="0.2s", metavar="0.2s", help="duration of the push")
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="seeds per square; 3")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+    parser.add_argument(
+        "--seeds", type=int, default=3, metavar="N", help="seeds per square (default 3)"
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="number of processes (default: all cores)"
+    )
     parser.add_argument("--scheduler", metavar=EXAMPLE, help="play on this Dask cluster instead")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="default runs/atlas-TASK")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the trials (default runs/atlas-TASK)"
+    )
 
 
 def run_atlas(arguments: argparse.Namespace) -> int:
@@ -194,7 +206,9 @@ def _changed(config: RunConfig) -> dict[str, Any]:
 
 
 def _axis(option: str, text: str, check: Callable[[str], str]) -> list[str]:
-    """The values of an axis, each in the form that `check` returns, none twice."""
+    """The values of an axis, in the form that `check` returns; `ConfigError` for a value given
+    twice.
+    """
     values = []
     for given in text.split(","):
         try:

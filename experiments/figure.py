@@ -1,7 +1,7 @@
 """A figure of a study: the part of trials that stood, or a column's mean, over one of its settings.
 
-`./wbc figure DIR --x correction.posture_error --by cell --panels task --out FILE`. With `--polar` a
-study of pushes is drawn as it looks from above: each push at its force, in its direction.
+`./wbc figure DIR --x correction.posture_error --by cell --panels task --out FILE`. With `--polar`
+the figure shows a study of pushes from above, each push at its force in its direction.
 """
 
 from __future__ import annotations
@@ -38,15 +38,20 @@ def add_figure_arguments(parser: argparse.ArgumentParser) -> None:
         "--y",
         action="append",
         metavar="COLUMN",
-        help=f"{STOOD} (default), {FELL}, or a column: its mean over standing trials; repeatable",
+        help=f"on the y axis: {STOOD} (default), {FELL}, or a column's mean over standing trials; "
+        "repeatable",
     )
-    parser.add_argument("--by", metavar="SETTING", help="a line, or a row of the map, per value")
+    parser.add_argument(
+        "--by", metavar="SETTING", help="draw a line, or a row of the map, for each value"
+    )
     parser.add_argument("--map", action="store_true", help="draw a map of squares instead of lines")
     parser.add_argument(
         "--polar", action="store_true", help="draw the pushes of --x push in their directions"
     )
-    parser.add_argument("--panels", metavar="SETTING", help="a panel per value")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
+    parser.add_argument("--panels", metavar="SETTING", help="draw a panel for each value")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE.png", help="picture to write"
+    )
 
 
 def run_figure(arguments: argparse.Namespace) -> int:

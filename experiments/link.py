@@ -1,9 +1,9 @@
 """A trial of a whole link: each controller balances in windows that cover it, and at outages.
 
-`./wbc link FILE` answers the question whether the robot would stand on a link. Windows of some
-seconds follow one another from the beginning of the profile to its end. The robot is pushed in each
-of them. Further windows place the push at the beginning of the longest outages. The same command
-goes on after an interruption.
+`./wbc link FILE` shows whether the robot stands on a link. Windows of some seconds follow one
+another from the beginning of the profile to its end. The robot is pushed in each of them. Further
+windows place the push at the beginning of the longest outages. The same command goes on after an
+interruption.
 """
 
 from __future__ import annotations
@@ -67,13 +67,17 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--window", type=float, default=5.0, metavar="SECONDS", help="length of a window (5)"
     )
-    parser.add_argument("--push", default=_PUSH, help=f"in each window; default {_PUSH}")
+    parser.add_argument("--push", default=_PUSH, help=f"push in each window (default {_PUSH})")
     parser.add_argument(
         "--worst", type=int, default=5, metavar="N", help="windows at the N longest outages (5)"
     )
-    parser.add_argument("--quick", action="store_true", help="the windows at the outages alone")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="default runs/link-NETWORK")
+    parser.add_argument("--quick", action="store_true", help="only the windows at the outages")
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="number of processes (default: all cores)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the trials (default runs/link-NETWORK)"
+    )
 
 
 def run_link(arguments: argparse.Namespace) -> int:
@@ -121,7 +125,7 @@ def link_outages(profile: DelayProfile) -> list[LinkOutage]:
 def apart(found: Sequence[LinkOutage]) -> list[LinkOutage]:
     """The outages in their order, without any outage that overlaps an earlier one.
 
-    Most failures of a link concern both ways.
+    Most outages of a link hit both directions.
     """
     chosen: list[LinkOutage] = []
     for each in found:
@@ -223,7 +227,7 @@ def table(rows: Sequence[Row]) -> list[str]:
 
 def falls(rows: Sequence[Row], profile: DelayProfile) -> list[str]:
     """A line for each fall, by its place on the link, with its reason; [] without falls."""
-    lines = [["falls", "at", "window", "outage met", "reason (times from the window's begin)"]]
+    lines = [["falls", "at", "window", "outage met", "reason (times from the window's start)"]]
     for controller, played in _by_controller(rows).items():
         for row in sorted(played, key=lambda row: row["start"]):
             if row["fell"]:

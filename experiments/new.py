@@ -1,4 +1,4 @@
-"""Make a folder to begin from: a package with a controller, a task or a robot, and its test."""
+"""Make a package to begin from, with a controller, a task or a robot, and its test."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _ALLOWED = re.compile(r"[a-z][a-z0-9_]*")
 
 def add_new_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `new`."""
-    parser.add_argument("kind", choices=KINDS)
-    parser.add_argument("name", help="its name, also that of the folder: my_controller")
+    parser.add_argument("kind", choices=KINDS, help="the content of the package")
+    parser.add_argument("name", help="name of package and folder, as in my_controller")
 
 
 def run_new(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Check a robot: its files, how it stands, and three trials in lockstep; draw it.
+"""Check a robot: its files, its standing posture, and three trials in lockstep. Draw it.
 
 Each failed check says what to change.
 """
@@ -68,7 +68,9 @@ def add_robot_check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "robot", metavar="ROBOT", help=f"a robot file, or one of {', '.join(ROBOTS.own)}"
     )
-    parser.add_argument("--no-play", action="store_true", help="check the files alone, no trials")
+    parser.add_argument(
+        "--no-play", action="store_true", help="check only the files, without trials"
+    )
     parser.add_argument(
         "--picture",
         metavar="FILE.png",

@@ -19,7 +19,9 @@ BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 
 def add_settings_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `settings`."""
-    parser.add_argument("--docs", type=Path, default=Path("docs"), metavar="DIR")
+    parser.add_argument(
+        "--docs", type=Path, default=Path("docs"), metavar="DIR", help="folder of the page"
+    )
 
 
 def run_settings(arguments: argparse.Namespace) -> int:

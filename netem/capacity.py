@@ -1,8 +1,8 @@
 """The capacity of the link over time, and its byte queue: `capacity:factory/001`.
 
-A recorded delay holds for the load of the recording. While a blocker stands in the beam, the link
-still carries a few bytes per millisecond and the queue fills. A controller that sends less then
-waits less. Here the profile gives the capacity, and every message takes its place in a queue,
+A recorded delay holds for the load of the recording. While a blocker is in the beam, the link still
+carries a few bytes per millisecond, and the queue fills. A controller that sends less then waits
+less. So the profile gives the capacity here, and every message takes its place in a queue,
 
     D_k = min { t : S(t) ≥ S(max(t_k, D_k−1)) + B_k },     delay_k = D_k − t_k + base,
 
@@ -139,12 +139,14 @@ def capacity_of(profile: DelayProfile) -> CapacityProfile:
 
 
 def _base_ns(delays_ns: np.ndarray) -> int:
-    """The delay on an idle link [ns]: the 10 % quantile, since the schedule favours a few."""
+    """The delay on an idle link [ns]: the 10 % quantile, because the schedule favours a few
+    messages.
+    """
     return int(np.quantile(delays_ns[delays_ns != LOST], 0.1, method="lower"))
 
 
 def _of_way(profile: DelayProfile, way: int) -> np.ndarray:
-    """The capacity of one way (n,) [bytes per period]."""
+    """The capacity of one direction (n,) [bytes per period]."""
     given = profile.columns.get(f"{DIRECTIONS[way]}_capacity_bytes")
     if given is not None:
         # A link without a load counts with its highest capacity.
@@ -167,7 +169,7 @@ def _of_way(profile: DelayProfile, way: int) -> np.ndarray:
 
 
 def _messages_in_a_period(profile: DelayProfile, direction: str) -> float:
-    """The recorded load [messages per period], as far as the metadata tell; else 1."""
+    """The recorded load [messages per period], by the metadata; 1 if it is not in them."""
     of = {key: profile.metadata.get(key) for key in ("packets", "interpolated", "rate_hz")}
     packets, interpolated = (
         each.get(direction) if isinstance(each, dict) else None

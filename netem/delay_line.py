@@ -139,7 +139,7 @@ class DelayLine(Generic[Item]):
     ) -> None:
         """Carry out an operator's command on this direction, as `apply_to`.
 
-        `place_ns` is the place in a new `profile` where the link goes on [ns].
+        `place_ns` is the place in a new `profile` at which the link goes on [ns].
         """
         elapsed_ns = max(0, now_ns - self._start_ns)
         if isinstance(command, Restore):

@@ -1,4 +1,4 @@
-"""Looking at profiles: `list`, `show` and `stats`."""
+"""Commands that show profiles: `list`, `show` and `stats`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ _WIDTH = 72
 
 def add_list_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `list`."""
-    parser.add_argument("scenario", nargs="?", help="only these, as factory")
+    parser.add_argument(
+        "scenario", nargs="?", help="list only the profiles of this scenario, as in factory"
+    )
 
 
 def run_list(arguments: argparse.Namespace) -> int:
@@ -48,7 +50,7 @@ def run_list(arguments: argparse.Namespace) -> int:
 def add_show_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `show`."""
     parser.add_argument("network", metavar="NAME", help=_NETWORK)
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw it")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="picture to write")
 
 
 def run_show(arguments: argparse.Namespace) -> int:
@@ -78,7 +80,7 @@ def add_stats_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help=f"{_NETWORK}, or a whole scenario (factory) or folder; several are pooled",
     )
-    parser.add_argument("--json", action="store_true", help="as JSON")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run_stats(arguments: argparse.Namespace) -> int:
@@ -135,7 +137,7 @@ memory: the time between two delays whose correlation is 1/e"""
 
 
 def _profiles(name: str) -> list[DelayProfile]:
-    """A profile, or all profiles of a scenario or a folder."""
+    """The profiles of a name: one profile, or all of a scenario or a folder."""
     shipped = [each for each in shipped_names() if each.rpartition("/")[0] == name]
     if shipped:
         return [load_profile(each) for each in shipped]

@@ -16,7 +16,9 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def link_config_from(arguments: argparse.Namespace, *, direct: str) -> RunConfig:
-    """The run that the arguments describe; `direct` is the error text for the network *direct*."""
+    """The settings that the arguments describe; `direct` is the error text for the network
+    *direct*.
+    """
     if arguments.profile is not None:
         if arguments.network is not None:
             raise ConfigError(

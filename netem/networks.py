@@ -1,4 +1,6 @@
-"""The networks that `--network` names: a profile (shipped, generated, file), a constant, a link."""
+"""The networks that `--network` names: a profile (shipped, generated, file), a constant, a
+capacity.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ GENERATED = "generated:"
 
 
 def load_network(network: str) -> Profile:
-    """The network of that name: the delays of a profile or, after `capacity:`, its link."""
+    """The network of that name: the delays of a profile or, after `capacity:`, its capacity."""
     profile = load_profile(network.removeprefix(CAPACITY))
     return capacity_of(profile) if network.startswith(CAPACITY) else profile
 

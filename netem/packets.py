@@ -31,10 +31,16 @@ _PORT = 7460
 def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `packets`."""
     parser.add_argument(
-        "--robot-ns", metavar="NAME", default="wbc-robot", help="namespace; default %(default)s"
+        "--robot-ns",
+        metavar="NAME",
+        default="wbc-robot",
+        help="namespace of the robot (default %(default)s)",
     )
     parser.add_argument(
-        "--edge-ns", metavar="NAME", default="wbc-edge", help="namespace; default %(default)s"
+        "--edge-ns",
+        metavar="NAME",
+        default="wbc-edge",
+        help="namespace of the edge (default %(default)s)",
     )
     parser.add_argument(
         "--mtu",

@@ -99,7 +99,7 @@ class DelayProfile:
 
 
 def profile_report(profile: Profile, link: LinkConfig, *, seed: int) -> dict[str, Any]:
-    """Return the part of the link's report on its profile: name, length, begin, worst outage."""
+    """Return the part of the link's report on its profile: name, length, start, worst outage."""
     begins = begin_ns(profile, link, seed=seed)
     worst = worst_outage(profile) if isinstance(profile, DelayProfile) else None
     return {
@@ -111,11 +111,11 @@ def profile_report(profile: Profile, link: LinkConfig, *, seed: int) -> dict[str
 
 
 def worst_outage(profile: DelayProfile) -> dict[str, Any]:
-    """Return direction, length [ms] and begin in the profile [s] of the longest time without
+    """Return direction, length [ms] and start in the profile [s] of the longest time without
     arrivals.
 
-    A message is sent in each period, and the profile repeats. A period is the least time between
-    two arrivals, so it does not count.
+    A message is sent in each period, and the profile repeats. Two arrivals are at least a period
+    apart, so that period does not count.
     """
     sent_ns = np.arange(2 * profile.delays_ns.shape[1]) * profile.period_ns
     worst: dict[str, Any] = {"direction": None, "ms": 0.0, "at_s": None}
@@ -133,7 +133,9 @@ def worst_outage(profile: DelayProfile) -> dict[str, Any]:
 
 
 def begin_ns(profile: Profile, link: LinkConfig, *, seed: int) -> int:
-    """Return where in a profile a run begins [ns]: where `link` says, or where the seed draws."""
+    """Return the place in a profile at which a run begins [ns]: that of `link`, or one drawn from
+    the seed.
+    """
     if link.start_ns is None:
         return profile.start_offset_ns(seed)
     return link.start_ns % profile.duration_ns

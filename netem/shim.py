@@ -112,7 +112,7 @@ class Shim:
         return take
 
     def change(self, command: LinkCommand, profile: Profile | None) -> int:
-        """Carry out an operator's command; return the time from which it holds [ns].
+        """Carry out an operator's command. Return the time from which it holds [ns].
 
         `profile` is the one that the command names. Raise `LinkError` before the first message.
         """
@@ -134,7 +134,7 @@ class Shim:
             return now_ns
 
     def set_time(self, origin: tuple[int, int, float]) -> None:
-        """Go on with the robot's time, by the origin of its clock."""
+        """Continue in the robot's time, by the origin of its clock."""
         if origin != self.time.origin:
             with self._changed:
                 self.time.origin = origin

@@ -77,7 +77,7 @@ def delays_ms(profile: DelayProfile, link: str) -> np.ndarray:
 
 
 def outages(delays: np.ndarray) -> list[ObservedOutage]:
-    """The outages of one way [ms] (n,), in order."""
+    """The outages in one direction's delays [ms] (n,), in order."""
     threshold = max(OUTAGE_MS, 2.0 * float(np.median(delays[np.isfinite(delays)])))
     found = []
     for first, end in _runs(delays > threshold):

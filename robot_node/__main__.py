@@ -159,7 +159,7 @@ def _say(text: str) -> None:
 
 
 def _nothing() -> None:
-    """Do nothing at a look: no hub wants the clock."""
+    """Do nothing: no hub asks for the clock."""
 
 
 if __name__ == "__main__":

@@ -50,11 +50,11 @@ class CacheEntry:
 
 
 class AnswerCache(ABC):
-    """Base of the caches: takes an answer that is from this session, newer than the last, and asked
-    for.
+    """Base of the caches. It takes an answer to a state of this session that is newer than the last
+    one.
 
     `newest_stamp_ns` is the time of measurement of the state that was answered last; −1 before the
-    first. With `tested_on_arrival`, an answer is right once it is taken, and an older answer of the
+    first. With `tested_on_arrival`, a taken answer has passed its test, and an older answer of the
     same tick is stale.
     """
 
@@ -119,8 +119,8 @@ class AnswerCache(ABC):
 class ProjectorCache(AnswerCache):
     """Newest projector per contact mode, and the newest full solution of any mode.
 
-    A projector is tested at its first use. Until then the projectors that it replaces stay behind
-    it, and so do older answers of the same tick.
+    A projector is tested at its first use. Until then the cache also keeps the projectors that it
+    replaces, and older answers of the same tick.
     """
 
     tested_on_arrival = False

@@ -1,7 +1,7 @@
-"""Carries an operator's commands out on a live robot, between two ticks, and publishes them.
+"""Carry out an operator's commands on a live robot, between two ticks, and publish them.
 
-Everything slow happens on the thread of the command server, or on that of a script. The tick looks
-at one attribute.
+The slow work happens on the thread of the command server, or on that of a script. The tick reads
+one attribute.
 """
 
 from __future__ import annotations

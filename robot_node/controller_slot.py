@@ -1,6 +1,7 @@
-"""The place of the robot's controller, which an operator can give to another one between two ticks.
+"""The robot's controller, which an operator can replace by another one between two ticks.
 
-The other controller collects answers first. The present one goes on until the other has its first.
+The new controller collects answers first. The present one goes on until the new one has its first
+answer.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ class OtherController:
 class ControllerSlot:
     """The controller of the robot, and the one that waits for its first answer.
 
-    `config` is that of the `controller`. `cache` takes the answers: the controller's, or that of
-    the one that waits.
+    `config` is that of the `controller`. `cache` takes the answers: that of the controller, or of
+    the controller that waits.
     """
 
     def __init__(self, parts: ControllerParts, make_controller: MakeController) -> None:
@@ -47,7 +48,7 @@ class ControllerSlot:
 
     @property
     def next_config(self) -> RunConfig:
-        """The settings of the controller that waits, else of the present one."""
+        """The settings of the controller that waits, or else of the present one."""
         return self.config if self._waiting is None else self._waiting.config
 
     @property

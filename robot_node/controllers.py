@@ -37,8 +37,8 @@ class Decision:
     """The decision of a controller: joint torques, and the solution behind them.
 
     `tau` (nv − 6,) [N m] are the torques. `y` (n,) is the solution in contact mode `mode`, with its
-    `active_set` as a bit mask. `source` is the source of the command if the answer is not to this
-    very state.
+    `active_set` as a bit mask. `source` is the source of the command if the answer is to an earlier
+    state.
 
     The decision rests on the answer to the state `sequence`, measured at `stamp_ns`. `contraction`
     is the estimated ratio of two successive corrections. `staleness` is the largest joint distance

@@ -176,7 +176,9 @@ class LocallyCorrected(Controller):
     def _correct(
         self, entry: CorrectorEntry, q: np.ndarray, v: np.ndarray, *, again: bool
     ) -> int | None:
-        """Correct the iterate. Return its active set, or None if it is lost. `again` at (q, v)."""
+        """Correct the iterate. Return its active set, or None if it is lost. `again`: a further
+        correction at (q, v).
+        """
         if again:
             self._linearise(q, v)
         corrected = entry.corrector.step(

@@ -64,10 +64,10 @@ class _Between:
 class LiveLoop:
     """Runs a robot node in real time.
 
-    By Eq. (7) the robot waits d* for the answer to this tick's state. While the last answer took
-    longer than d* to come, the wait would be in vain, and the command follows at once. `explain`
-    describes the endpoint if no answer comes. With `stays`, a fall does not end the loop: simulated
-    time stands still until a reset.
+    By Eq. (7) the robot waits d* for the answer to this tick's state. If the last answer took
+    longer than d*, the robot does not wait, and commands at once. `explain` describes the endpoint
+    if no answer comes. With `stays`, a fall does not end the loop: simulated time stands still
+    until a reset.
     """
 
     def __init__(

@@ -166,7 +166,7 @@ def _leg(robot: Robot, side: Foot, contact: dict[str, Any]) -> list[tuple[int, X
 
 
 def _collisions(side: Foot, *, contype: int = 0, conaffinity: int = 0) -> dict[str, Any]:
-    """The bits by which the links of one leg meet those of the other, beside other bits."""
+    """The collision bits with which each leg collides with the other one, but not with itself."""
     own, other = (4, 8) if side is Foot.LEFT else (8, 4)
     return {"contype": str(contype | own), "conaffinity": str(conaffinity | other)}
 

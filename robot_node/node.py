@@ -355,10 +355,9 @@ class RobotNode:
             self._stopping = self._motion is not before
 
     def _bounded(self, tau: np.ndarray, source: Source) -> np.ndarray:
-        """Return the torque, without a jump to another rung of the ladder if the controller wants
-        none.
+        """Return the torque; bound its step at a change of rung, if the controller asks for that.
 
-        Fresh, corrected and on-board answers are one rung, because they meet in the same solution.
+        Fresh, corrected and on-board answers are one rung, because all lead to the same solution.
         """
         if not (self.running and self.controller.bounds_torque_steps):
             return tau
@@ -387,7 +386,7 @@ class RobotNode:
         return force
 
     def _add_push(self, command: PushCommand) -> None:
-        """Push from this tick on. Pushes that are over are forgotten."""
+        """Add a push from this tick on, and forget pushes that are over."""
         lasting = [each for each in self._pushes if not each.over(self.time_ns)]
         push = Push(command.vector, self.time_ns, command.duration_ns)
         self._pushes = (*lasting[:_MAX_PUSHES], push)
@@ -399,7 +398,7 @@ class RobotNode:
         clock: ContactClock | None,
         plans: PlanCache | None,
     ) -> None:
-        """Put the robot at the beginning of its task, as another start of it for the edge."""
+        """Put the robot at the beginning of its task. For the edge this is a new session."""
         robot, config = self._model.robot, other.config
         period_ns = config.loop.period_ns
         self._slot.replace(other)
@@ -438,4 +437,4 @@ class RobotNode:
 
 
 def _nothing() -> None:
-    """Carry out a command that is the driver's."""
+    """Do nothing: the driver carries out this command."""

@@ -111,7 +111,7 @@ class OnBoard(Protocol):
 
     @property
     def solves(self) -> int:
-        """Problems begun so far."""
+        """The number of problems begun so far."""
         ...
 
     def tick(
@@ -126,7 +126,7 @@ class OnBoard(Protocol):
 
 
 class OnBoardWindow:
-    """Decides which QP to solve when, and puts the projector into the cache when it is ready."""
+    """Decide when to solve which QP, and put the projector into the cache when it is ready."""
 
     def __init__(
         self,
@@ -213,9 +213,9 @@ class OnBoardWindow:
 
 
 class OnBoardRefresh:
-    """Factorises on board when corrections shrink the error too little, within a budget of time.
+    """Factorise on board when corrections shrink the error too little, within a budget of time.
 
-    `wanted` gives the contact mode of which a new factorisation would help, or None.
+    `wanted` gives the contact mode for which a new factorisation would help, or None.
     """
 
     def __init__(

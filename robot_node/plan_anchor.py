@@ -91,7 +91,7 @@ class PlanAnchor:
         return PlanFrame(x, y, math.atan2(forward[1], forward[0]))
 
     def _stance_below(self, reference: Reference, standing: PlanFrame) -> PlanFrame:
-        """Stance below a reference at rest, as `standing` is below the standing robot."""
+        """Stance below a reference at rest, placed as `standing` is below the standing robot."""
         q = self._model.robot.q_standing
         com, _ = self._model.com_and_soles(q)
         base_turn = reference.world_from_base.dot(world_from_base(q).T)
@@ -111,7 +111,9 @@ class _FinalStand:
 
 
 def _last_switch_ns(motion: Motion) -> int | None:
-    """Return the time of a motion's last contact switch; None if it has none, or no last one."""
+    """Return the time of a motion's last contact switch; None without one, or if the switches do
+    not end.
+    """
     last_ns, switch_ns = None, motion.next_switch(0)
     for _ in range(_MAX_SWITCHES):
         if switch_ns is None:

@@ -1,10 +1,10 @@
 """The newest plan and step law of the edge, and why the others were refused.
 
-Both are taken only if they fit this robot and its present phase. The footprints of a plan are
-within the reach of the legs, from feet where this robot's are. A law has the grids of the robot's
-soles and reach, and values near those of the robot's law for flat ground. A plan is taken for the
-phase that the robot is in, if it is newer than the last one and if no foot in the air is about to
-land. So a plan that is late, false or from another edge changes nothing.
+Both are taken only if they fit this robot. The feet of a plan must be where the robot's feet are,
+and its footprints within the reach of the legs. A law must have the grids of the robot's soles and
+reach, and values near those of the robot's law for flat ground. A plan must also be for the robot's
+present phase and newer than the last one, and no swing foot may be about to land. So a plan that is
+late, false or from another edge changes nothing.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _VALUES = ("values_x", "values_y", "going_on_x", "going_on_y")
 
 
 class PlanCache:
-    """Takes in what comes on the key of plans, and gives it to the contact clock."""
+    """Take in the messages on the key of plans, and give plans and laws to the contact clock."""
 
     def __init__(
         self,

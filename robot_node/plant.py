@@ -56,8 +56,8 @@ def make_plant(
 ) -> Plant:
     """Make the plant that `config.kind` names; `timestep` [s].
 
-    A plant is told of its ground if that is not flat. Raise `ConfigError` if it cannot be imported,
-    lacks a member, or knows flat ground only.
+    A plant gets its ground as an argument if the ground is not flat. Raise `ConfigError` if it
+    cannot be imported, lacks a member, or knows flat ground only.
     """
     terrain = {} if ground.flat else {"ground": ground}
     plant: Plant = PLANTS.make(
@@ -119,7 +119,7 @@ class MujocoPlant:
         return forces
 
     def _driven(self, tau: np.ndarray, fastest: np.ndarray) -> np.ndarray:
-        """The torques (nv − 6,), 0 where one would drive its joint beyond its velocity limit."""
+        """The torques (nv − 6,), each 0 if it would drive its joint beyond its velocity limit."""
         rates = self._qvel[6:]
         return np.where((np.abs(rates) >= fastest) & (tau * rates > 0.0), 0.0, tau)
 

@@ -1,4 +1,4 @@
-"""Checks that anybody's plant can run: `./wbc plant check`, or `plant_faults` in a test.
+"""Checks of any plant: `./wbc plant check`, or `plant_faults` in a test.
 
 A plant is a `Plant` (`robot_node/plant.py`). The checks look at conventions that a simulation or a
 driver easily gets wrong: frames and signs, the units of contact forces, and memory that is shared.

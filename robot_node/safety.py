@@ -52,7 +52,7 @@ class TorqueRateLimiter:
         self._following = True
 
     def bound(self, tau: np.ndarray, *, changed: bool) -> np.ndarray:
-        """The torque to apply (nv − 6,) [N m]; `changed` in the first tick on another rung."""
+        """The torque to apply (nv − 6,) [N m]; `changed`: the first tick on another rung."""
         if self._last is not None and (changed or not self._following):
             jump = tau - self._last
             self._following = bool(np.all(np.abs(jump) <= self._step))
@@ -65,15 +65,15 @@ class TorqueRateLimiter:
 class JointHold:
     """Holds the joints around the torques that bear the standing robot.
 
-    It is the last resort of a robot without a usable projector: the robot stays upright as a statue
-    does, and resists as far as stiff joints can. The posture on entry is averaged over the last
-    ticks, so that it is not one noisy measurement. The torques of those ticks may be those of an
-    old projector that is about to let the robot fall, and do not count.
+    It is the last resort of a robot without a usable projector: the robot stays upright like a
+    statue, and resists as far as stiff joints can. The held posture is the average over the last
+    ticks, because a single measurement is noisy. The torques of those ticks do not count, because
+    they may come from an old projector that is about to let the robot fall.
 
     If the feet stand as in the standing posture, the joints move to it, and the CoM above the
     middle of the feet. If they stand elsewhere, the joints stay, because the feet would slide. A
-    statue on one foot would topple: from a step the joints always move to the standing posture, in
-    which both feet are on the ground.
+    statue on one foot would topple. A hold that begins in a step therefore moves the joints to the
+    standing posture, in which both feet are on the ground.
 
     The gains are those of a joint as strong as its effort limit, and no more than a tick of
     `timestep` [s] allows for its inertia. A light joint would otherwise chatter, and shake the feet

@@ -1,9 +1,9 @@
-"""Holds over measurements that no motion explains: a sensor fault must not become a torque.
+"""Replace measurements that no motion explains, so that no sensor fault becomes a torque.
 
-From one tick to the next a position moves by what the velocity says. A sample that is elsewhere, or
-that is not a number, is a fault of that sensor: position and velocity are held over. Each joint is
-a sensor, and so is the base. A fault that lasts is passed on after 50 ms, when a prediction is
-worth no more; the robot's ladder then decides.
+From one tick to the next a position changes as the velocity says. Any other sample, or one that is
+not a number, is a fault of that sensor, and the last position and velocity are held over. Each
+joint is a sensor, and so is the base. After 50 ms a lasting fault is passed on, because a
+prediction is of no more use then. The robot's ladder then decides.
 """
 
 from __future__ import annotations

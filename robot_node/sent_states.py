@@ -1,7 +1,7 @@
 """The states that the robot has sent, as far as an answer may still echo one.
 
-An answer names the state that it was computed from. What the robot itself remembers of that state
-decides the age of the answer, and whether its content is right. An echoed time decides nothing.
+An answer names the state that it was computed from. The robot's own record of that state decides
+the age of the answer, and whether its content is right. An echoed time decides nothing.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Steps by touch: the robot decides when its feet lift and land, and by the step law where.
 
 A contact clock counts the phases of the contact mode. A phase on one foot ends when the measured
-force says that the other one bears: the foot that lands early bears at once, and one that lands
-late goes on down. A phase on both feet ends by the plan's time, or when the divergent component of
-motion (DCM) is about to leave the support. Then the robot steps as the step law says. Without a
-plan it stands.
+force shows that the swing foot is loaded. A foot that lands early is loaded at once, and one that
+lands late goes on down. A phase on both feet ends by the plan's time, or when the divergent
+component of motion (DCM) is about to leave the support. Then the robot steps as the step law says.
+Without a plan it stands.
 
 The rungs of its ladder: the step law with a fresh DCM; without a law, the plan's own footprints and
 times; at the end of a plan, the stand on the feet where they are.
@@ -47,7 +47,7 @@ _LEVELLING = 6.0
 
 @dataclass(slots=True)
 class _Swing:
-    """A foot in the air: its path, and the CoP that the law asks for."""
+    """A swing foot: its path, and the CoP that the law asks for."""
 
     foot: Foot
     begin: float
@@ -73,7 +73,7 @@ class Measured:
 class ContactClock:
     """The phases of the contact mode, by time and by touch, and the reference in each.
 
-    `phase` is the number of the present phase, and `phase_ns` the time since its begin.
+    `phase` is the number of the present phase, and `phase_ns` the time since it began.
     """
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
@@ -107,11 +107,11 @@ class ContactClock:
 
     @property
     def swing_path(self) -> SwingPath | None:
-        """The path of the foot in the air; None on both feet."""
+        """The path of the swing foot; None on both feet."""
         return None if self._swing is None else self._swing.path
 
     def frozen(self, time_ns: int) -> bool:
-        """Return whether the foot in the air is so near its landing that its goal stays."""
+        """Return whether the swing foot is so near its landing that its goal is fixed."""
         swing = self._swing
         return swing is not None and swing.path.end - time_ns * 1e-9 < self._config.freeze
 
@@ -236,7 +236,7 @@ class ContactClock:
             self._start_swing(step.footprint, time, time + step.remaining, cop=step.cop)
 
     def _short_of(self, phase: PlannedPhase, lifting: Foot, balance: Balance) -> bool:
-        """Return whether the DCM has still to come nearer to the foot that will bear."""
+        """Return whether the DCM still has to come nearer to the next support foot."""
         way = self.feet[other(lifting)].position - self.feet[lifting].position
         left = way.dot(np.array(phase.dcm) - balance.dcm)
         return bool(left > _NEAR * math.hypot(*way.tolist()))
@@ -312,7 +312,7 @@ class ContactClock:
     def _follow_level(self, elapsed: float) -> float:
         """Let the CoM follow the mean height of the feet. Return its vertical acceleration.
 
-        Of a foot in the air that is the height of its goal.
+        A swing foot counts with the height of its goal.
         """
         feet, swing = self.feet, self._swing
         if swing is not None:

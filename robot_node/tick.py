@@ -17,8 +17,8 @@ from shared.bus.base import Delivery
 
 
 class Tick:
-    """The tick of one robot, again and again. `next_row` gives the row of each tick; without it
-    there are no rows.
+    """Plays the ticks of one robot. `next_row` gives the row of each tick; without it there are no
+    rows.
     """
 
     def __init__(self, node: RobotNode, next_row: Callable[[], np.ndarray] | None = None) -> None:

@@ -70,7 +70,7 @@ class TickRow:
         self._set_down: list[tuple[float, float] | None] = [None for _ in Foot]
 
     def fill(self, row: np.ndarray, moment: Moment, command: Command) -> None:
-        """Fill all columns but the loads of the joints, and the times that the driver of the tick
+        """Fill all columns but the loads of the joints and the times that the driver of the tick
         measures.
         """
         reference, decision = moment.reference, command.decision
@@ -118,7 +118,7 @@ class TickRow:
         rows[:, self._loads] = np.stack(loads, axis=1)
 
     def forget_soles(self) -> None:
-        """Take the next place of each sole as the one where it was set down."""
+        """Take the next place of each sole as the place where it was set down."""
         self._set_down = [None for _ in Foot]
 
     def _forces(self, decision: Decision) -> tuple[np.ndarray, np.ndarray]:

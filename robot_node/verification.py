@@ -1,9 +1,9 @@
 """Checks of an answer's content: an edge may be silent, but it must not make a robot fall.
 
-LC's factorisation is a set of matrices that the robot can tell from all others: the inverse of its
-own KKT matrix, at a posture near the one that it sent. LA's projector holds a choice of the edge,
-the trade-off between tasks. The robot can tell only whether its solution obeys the robot's
-dynamics and contacts.
+The robot can verify LC's factorisation completely: it is the inverse of the robot's own KKT matrix,
+at a posture near the one that the robot sent. LA's projector contains a choice of the edge, the
+trade-off between tasks. The robot can verify only that its solution obeys the robot's dynamics and
+contacts.
 """
 
 from __future__ import annotations
@@ -95,9 +95,9 @@ class FactorisationVerifier:
 class ProjectorVerifier:
     """Compares projectors with the robot's own dynamics and contacts.
 
-    The solution of a projector at its own state obeys them exactly, for any b. Later it does not,
-    but hardly less on the next ticks. The force that the base lacks is known in every tick. Only if
-    it is large at the first use is the projector tested at its own state.
+    The solution of a projector at its own state obeys them exactly, for any b. On the next ticks it
+    obeys them nearly as well. The robot knows in every tick the force that the base lacks. If this
+    force is large at the first use, the projector is tested at its own state.
     """
 
     def __init__(

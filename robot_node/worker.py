@@ -2,8 +2,8 @@
 
 It is a process and not a thread: a QP is mostly Python and small matrices, which would hold the
 interpreter while the control loop needs it. It is started before the loop. Jobs and answers go
-through a pipe. It plays a slow computer: after a job it waits until the job's processor time, times
-`switch.compute_time_scale`, has passed.
+through a pipe. It imitates a slow computer: a job lasts for its processor time times
+`switch.compute_time_scale`.
 """
 
 from __future__ import annotations

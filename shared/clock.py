@@ -22,7 +22,7 @@ class Clock(Protocol):
 
 @dataclass
 class SimClock:
-    """A clock that stands still until it is moved."""
+    """A clock that its owner moves."""
 
     time_ns: int = 0
 
@@ -42,7 +42,7 @@ class ScaledClock:
 
     @property
     def speed(self) -> float:
-        """Own time per monotonic time; 0 while the clock stands still."""
+        """The rate of this clock by the monotonic clock; 0 while this clock stands still."""
         return self.origin[2]
 
     def now_ns(self) -> int:

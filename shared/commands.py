@@ -13,7 +13,7 @@ CHECKOUT = _ROOT if (_ROOT / "wbc").is_file() else None
 
 
 def wbc(arguments: str = "") -> str:
-    """Return `wbc` and its arguments: by name if PATH has it, otherwise by its path from here."""
+    """Return `wbc` and its arguments: its name if PATH has it, otherwise its relative path."""
     script = (CHECKOUT or Path(sys.prefix) / "bin") / "wbc"
     return f"{_typed('wbc', script)} {arguments}".rstrip()
 

@@ -33,9 +33,9 @@ class Taken:
 class Names:
     """A table of the names that a setting may have.
 
-    `what` is the setting in a word, `group` the name of the entry points of other packages, and
-    `own` maps the project's names to references. `page` documents how to write one. `forms` are the
-    forms of a reference.
+    `what` names the setting, and `own` maps the project's names to references. Other packages add
+    names by the entry points of the group `group`. `page` is the page on values of one's own, and
+    `forms` names the forms of a reference.
     """
 
     what: str
@@ -60,8 +60,8 @@ class Names:
             )
 
     def absolute(self, value: str, folder: Path) -> str:
-        """Return a reference to a file with its whole path, relative to `folder`; others as they
-        are.
+        """Return a reference to a file with its whole path, relative to `folder`; other values
+        unchanged.
         """
         raise NotImplementedError
 
@@ -93,7 +93,9 @@ class Extensions(Names):
         return f"{(folder / where).resolve()}:{name}" if where.endswith(".py") else value
 
     def label(self, value: str) -> str:
-        """Return the name of a value in titles and tables: of a reference its last part."""
+        """Return the name of a value in titles and tables: a name itself, or the last part of a
+        reference.
+        """
         name = value.rpartition(":")[2]
         return name.upper() if self.capitals and name in self.own else name
 
@@ -173,7 +175,7 @@ class Extensions(Names):
         return ConfigError(f"{self.what} {value}: expected {expected}, got {got}; see {self.page}")
 
     def identity(self, value: str) -> str:
-        """Return what tells this value's code from others: its name and a hash of its file."""
+        """Return the identity of this value's code: its name and a hash of its file."""
         loaded = self.load(value)
         module = sys.modules.get(getattr(loaded, "__module__", ""))
         source = Path(getattr(module, "__file__", None) or "")

@@ -1,4 +1,4 @@
-"""Arrays in a `.npz` file of the user's, without pickles and within bounds."""
+"""Arrays in a user's `.npz` file, without pickles and of bounded size."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def read_npz(path: Path, *, at_most: int, array_at_most: int) -> dict[str, np.nd
 
 
 def _check_claims(data: io.BytesIO, at_most: int) -> None:
-    """Check the sizes that an archive and its arrays claim, before memory is taken for them.
+    """Check the sizes that an archive and its arrays claim, before memory is allocated.
 
     Raise `ValueError` if an array has more than `at_most` bytes, or claims more than it has.
     """

@@ -42,7 +42,7 @@ def read_toml(path: Path, *, what: str) -> dict[str, Any]:
 
 
 def _has_long_key(text: str) -> bool:
-    """Return whether a line may have a key of very many parts."""
+    """Return whether a line may have a key with very many parts."""
     keys = (line.partition("=")[0].partition("#")[0] for line in text.splitlines())
     return any(key.count(".") > _MAX_DOTS for key in keys)
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from remote_wbc import __version__, commands
-from shared.process.cli import Group
+from shared.process.cli import Group, command_parser
 from shared.process.entry import python
 from tests.processes import ROOT, Typed
 
@@ -107,6 +109,22 @@ def test_a_mistake_is_one_line_of_the_command_it_is_in(
     (line,) = refused.stderr.splitlines()
     assert line.startswith(f"./wbc {command}".rstrip() + ": error: ")
     assert line.endswith("(try --help)")
+
+
+def _described(parser: argparse.ArgumentParser, name: str) -> Iterator[tuple[str, object]]:
+    """Yield each argument of a command and of its subcommands, with its help."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for word, of_word in action.choices.items():
+                yield from _described(of_word, f"{name} {word}")
+        else:
+            yield f"{name} {'/'.join(action.option_strings) or action.dest}", action.help
+
+
+def test_every_argument_of_every_command_has_a_help() -> None:
+    described = dict(_described(command_parser(None, commands(), version=__version__), "wbc"))
+    assert described["wbc netem show network"]
+    assert [name for name, told in described.items() if not told] == []
 
 
 def test_a_look_at_what_runs_loads_no_mathematics() -> None:

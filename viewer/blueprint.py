@@ -2,8 +2,8 @@
 
 The user opens and arranges nothing by hand. The plots show, from the top: the link, the lanes of
 states, the errors, and the correction and computation. A plot has one line, or a line and a fainter
-one, which its title names; so no legend hides data. A recording shows its whole length; a live view
-follows the newest data and plots the last seconds.
+one. The title names the lines, so that no legend hides data. A recording shows its whole length; a
+live view follows the newest data and plots the last seconds.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ class Ghost:
 
 
 def _stance(walk: Walking, time_ns: int) -> tuple[Footprint, Footprint]:
-    """Return the planned places of both soles; for a foot in the air, its last place."""
+    """Return the planned places of both soles; for the swing foot, its last place."""
     phase = next((each for each in walk.phases if time_ns < each.end_ns), walk.phases[-1])
     step = walk.steps[0] if phase.step is None else phase.step
     landed = phase.step is not None and phase.mode is ContactMode.DOUBLE_SUPPORT

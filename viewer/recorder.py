@@ -63,7 +63,7 @@ class Recorder:
 
 
 def _named(names: list[str], index: int) -> str:
-    """Return the name of a state, or its number if this viewer knows no name for it."""
+    """Return the name of a state, or its number if it has no name."""
     if index == NO_STATE:
         return ""
     return names[index] if 0 <= index < len(names) else f"number {index}"

@@ -103,7 +103,7 @@ class Scene:
             self._log_link_states(1, downlink.silent(self._last_wall_ns, SILENT, patience_ns=0))
 
     def finish(self) -> None:
-        """End the lanes with the run's last row, except the one that says that it has fallen."""
+        """End the lanes at the run's last row, except the lane that shows a fall."""
         if self._last is None:
             return
         for lane in LANES:

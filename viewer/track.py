@@ -17,7 +17,7 @@ SIDE_BY_SIDE = 1.2
 
 @dataclass(frozen=True)
 class Track:
-    """A run's name, colour and place [m, world]; without a name it is alone."""
+    """A run's name, colour and place [m, world]; a run without a name is alone."""
 
     name: str = ""
     colour: Colour | None = None

@@ -1,4 +1,4 @@
-"""The verdict on a robot that is watched: it waits for the edge, stands, or fell at a time."""
+"""The verdict on a watched robot: it waits for the edge, stands, or has fallen."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Verdict:
         return self._fell_ns is not None
 
     def take(self, schema: Schema, rows: np.ndarray) -> np.ndarray:
-        """Take in rows of the task (n,). Return for each whether the robot has fallen by then."""
+        """Take in rows of the task (n,). Return, for each, whether the robot has fallen by then."""
         heights = schema.column(rows, "com")[:, 2].tolist()
         fallen = np.array(
             [

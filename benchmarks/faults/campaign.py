@@ -32,20 +32,29 @@ Played = dict[Case, Outcome | None]
 
 def add_faults_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = __doc__
-    parser.add_argument("--short", action="store_true", help="some 2 minutes instead of an hour")
-    parser.add_argument("--seed", type=int, default=0, help="of the cases; 0")
     parser.add_argument(
-        "--kind", choices=KINDS, action="append", help="only these cases; repeatable"
+        "--short", action="store_true", help="play the short campaign: 2 minutes instead of an hour"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the cases (default 0)")
+    parser.add_argument(
+        "--kind", choices=KINDS, action="append", help="play only cases of this kind; repeatable"
     )
     parser.add_argument(
-        "--only", metavar="CASE", action="append", help="only this case; repeatable: lockstep-017"
+        "--only",
+        metavar="CASE",
+        action="append",
+        help="play only this case, as in lockstep-017; repeatable",
     )
     parser.add_argument(
-        "--played", action="store_true", help="only the cases in the journal; play no others"
+        "--played", action="store_true", help="use the cases in the journal; play no others"
     )
-    parser.add_argument("--workers", type=int, default=1, help="processes at a time; 1")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes (default 1)")
     parser.add_argument(
-        "--out", type=Path, default=Path("runs/faults"), metavar="DIR", help="the journal's folder"
+        "--out",
+        type=Path,
+        default=Path("runs/faults"),
+        metavar="DIR",
+        help="folder of the journal (default %(default)s)",
     )
     parser.add_argument(
         "--docs", type=Path, metavar="DIR", help=f"write the evidence into {PAGE} of this folder"

@@ -68,7 +68,7 @@ def make_cases(
 ) -> list[Case]:
     """Return the first `count` cases of a kind, by default those of the whole campaign.
 
-    `draws` has, by fault, the parameters of the case with a number in turns of that fault.
+    `draws` has for each fault a function from a case's number within that fault to its parameters.
     """
     cases = []
     faults = list(draws)

@@ -1,4 +1,4 @@
-"""One hostile message, then a second of honest ones, beside a twin that never met it.
+"""One hostile message and then a second of honest ones, beside a twin without the hostile message.
 
 The twin is the same robot and edge with the same sensor noise. At the end of the second, the edge
 has to answer the same states as the twin's, and the torques have to equal the twin's.

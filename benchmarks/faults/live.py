@@ -116,7 +116,7 @@ def _ended(them: Stacks, up: Command, run: Path, *, during: bool, told: str = ""
 
 
 def _failed(them: Stacks, up: Command, run: Path, *, told: str) -> Outcome:
-    """Check a run that has to end by itself with an error that contains `told`."""
+    """Check a run that must end by itself, with an error that contains `told`."""
     code = up.wait()
     return _checked(them, {run: code}, told=code == EXIT_ERROR and told in up.output)
 

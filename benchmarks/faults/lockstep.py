@@ -202,7 +202,7 @@ def _outage(turn: int, rng: np.random.Generator) -> Parameters:
 
 
 def _holds(turn: int, rng: np.random.Generator) -> Parameters:
-    """Outages that are longer than LA goes without answers, so that it holds its joints."""
+    """Outages so long that LA holds its joints."""
     parameters, settings = _trial_of(turn, rng, push=False, standing=True, seconds=6.0)
     starts = (300, 2200, 4100)
     settings["link.outage"] = [f"{int(rng.integers(700, 1300))}ms@{start}ms" for start in starts]

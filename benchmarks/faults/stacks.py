@@ -192,7 +192,9 @@ def pid_of(run: Path, service: str) -> int:
 
 
 def lives(pid: int) -> bool:
-    """Return whether a process runs. A killed one that its parent has not asked about does not."""
+    """Return whether a process runs. A killed process that its parent has not waited for does not
+    count as running.
+    """
     try:
         return process_stat(pid)[0] not in "ZX"
     except OSError:

@@ -39,21 +39,26 @@ _UNDISTURBED_SECONDS = 1.0
 
 def add_real_path_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `run_real_path`."""
-    parser.add_argument("--rate", nargs="+", default=["100mbit", "300mbit"], help="as tc writes it")
+    parser.add_argument(
+        "--rate",
+        nargs="+",
+        default=["100mbit", "300mbit"],
+        help="rates of the cable, in the notation of tc",
+    )
     parser.add_argument(
         "--round-trip",
         nargs="+",
         metavar="MS",
         type=float,
         default=[0.0],
-        help="of the cable [ms]; not 0: it is ./wbc netem packets",
+        help="round trips of the cable [ms]; above 0 the cable is ./wbc netem packets",
     )
     parser.add_argument(
         "--protocol",
         nargs="+",
         default=["tcp"],
         choices=_PROTOCOLS,
-        help="quic-datagram: quic/…?rel=0 (default tcp)",
+        help="protocols (default tcp); quic-datagram is quic/…?rel=0",
     )
     parser.add_argument(
         "--loss",
@@ -61,7 +66,7 @@ def add_real_path_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PROBABILITY",
         type=_probability,
         default=[0.0],
-        help="of losing a packet, each way, from the first second of the task on",
+        help="probability of losing a packet, each way, after the first second of the task",
     )
     parser.add_argument(
         "--cut",
@@ -69,7 +74,7 @@ def add_real_path_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         type=float,
         default=[0.0],
-        help="time for which the cable carries nothing, from the first second of the task on [s]",
+        help="time for which the cable carries nothing, after the first second of the task [s]",
     )
     parser.add_argument("--config", metavar="FILE.toml", help="settings of both ends")
     parser.add_argument(
@@ -78,10 +83,14 @@ def add_real_path_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="BYTES",
         type=_buffer,
         default=[None],
-        help="of the edge's socket; the kernel doubles it (default: ours)",
+        help="send buffer of the edge's socket, which the kernel doubles (default: the project's)",
     )
-    parser.add_argument("--duration", type=float, default=10.0, help="[s] (default %(default)s)")
-    parser.add_argument("--controller", default="la", help="(default %(default)s)")
+    parser.add_argument(
+        "--duration", type=float, default=10.0, help="duration of a run [s] (default %(default)g)"
+    )
+    parser.add_argument(
+        "--controller", default="la", help="the robot's controller (default %(default)s)"
+    )
 
 
 def run_real_path(arguments: argparse.Namespace) -> int:

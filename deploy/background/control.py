@@ -53,7 +53,7 @@ def add_ps_arguments(parser: argparse.ArgumentParser) -> None:
         "--format",
         choices=("text", "json"),
         default="text",
-        help="json: a list of stacks, each with its run folder, and whether it is alive",
+        help="json: a list of the stacks, each with its run folder and an `alive` flag",
     )
 
 
@@ -72,12 +72,14 @@ def add_logs_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_restart_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("service", metavar="SERVICE")
+    parser.add_argument("service", metavar="SERVICE", help="the service to restart")
     _add_stack_arguments(parser)
 
 
 def _stacks(arguments: argparse.Namespace) -> Found:
-    """Return the stacks that the arguments select: all that run, or the one that ended last."""
+    """Return the stacks that the arguments select: all running ones, or else the one that ended
+    last.
+    """
     if arguments.run is not None:
         stack = StackFolder(arguments.run)
         return [(stack, stack.read())]
@@ -106,7 +108,7 @@ def _one_with(service: str | None, arguments: argparse.Namespace) -> tuple[Stack
 
 
 def _ended(stack: StackFolder, state: StackState) -> StackState:
-    """Return the state of a stack; if it was killed as a whole, sum its run up first."""
+    """Return the state of a stack; if it was killed as a whole, write its run's summary first."""
     if stack.alive or state.state == ENDED:
         return state
     # Imported here: only the end of a run needs them.

@@ -1,6 +1,6 @@
 """Make a request to a running stack over its control socket: see `control_server`.
 
-It loads little, so that a command comes to a stack at once.
+It imports little, so that a command reaches a stack at once.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ class Registry:
         self._folder = folder or registry_folder()
 
     def check(self, run: Path | None, *, robot: str, services: tuple[str, ...]) -> None:
-        """Raise `ConfigError` if a stack other than `run` runs a service of this robot."""
+        """Raise `ConfigError` if a stack other than `run` already runs a service of this robot."""
         for stack, state in self.found(robot=robot):
             both = [name for name in services if name in state.named]
             if both and stack.alive and (run is None or stack.run != run.resolve()):

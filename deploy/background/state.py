@@ -82,7 +82,7 @@ class StackState:
 
 
 def _private_folder(folder: Path, *, what: str) -> None:
-    """Make a folder that no other user may enter.
+    """Make a folder that other users cannot enter.
 
     Raise `ConfigError`, which begins with `what`, if that is impossible.
     """
@@ -97,7 +97,7 @@ def _private_folder(folder: Path, *, what: str) -> None:
 
 
 def open_private(path: Path) -> TextIO:
-    """Open a file for writing that no other user may open, so that none can hold its lock."""
+    """Open a file for writing that other users cannot open, so that they cannot hold its lock."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
     # The file may be older than this rule.
     os.fchmod(descriptor, 0o600)
@@ -171,7 +171,7 @@ class StackFolder:
         return is_locked(self._lock)
 
     def write(self, state: StackState) -> None:
-        """Replace the state in place, where it finds room on a full disk too.
+        """Overwrite the state in place, which works on a full disk too.
 
         If it cannot be written, the old state stays and the run goes on.
         """

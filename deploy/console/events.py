@@ -102,7 +102,7 @@ class Events:
         return "; ".join(parts)
 
     def _tell(self, direction: int, changes: list[Change]) -> None:
-        """Add the outages that have ended. The one that is still open was announced before."""
+        """Add the outages that have ended. An open outage has been announced already."""
         if not changes:
             return
         said_ns = since_ns = self._open_since_ns if direction == _UP else None

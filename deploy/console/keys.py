@@ -41,7 +41,7 @@ _KEYS = (
 
 
 def keys_in_words(*, link: bool) -> str:
-    """Return the table of keys in a few lines of at most 76 characters; `link`: there is a shim."""
+    """Return the table of keys in lines of at most 76 characters; `link`: the run has a shim."""
     cells = [f"{name} {text}" for _, text, name in _KEYS if link or not text.startswith("link")]
     lines = [""]
     for cell in cells:
@@ -65,7 +65,9 @@ def commands_of(typed: str) -> tuple[list[Command], bool]:
 
 
 def has_keys() -> bool:
-    """Return whether this process may read keys: both ends are its terminal, in the foreground."""
+    """Return whether this process may read keys: input and output are its terminal, in the
+    foreground.
+    """
     try:
         in_front = os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except (OSError, ValueError):

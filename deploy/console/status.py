@@ -154,7 +154,7 @@ class Status:
 
 
 def _check_finite(schema: Schema, rows: np.ndarray, names: Iterable[str]) -> None:
-    """Raise `ValueError` if a column has a value that no clock and no count can have."""
+    """Raise `ValueError` if a column has a value that is impossible for a clock or a count."""
     for name in names:
         if not np.all(np.abs(schema.column(rows, name)) < _LIMIT):
             raise ValueError(f"{name}: expected finite numbers")
@@ -164,7 +164,7 @@ def _check_finite(schema: Schema, rows: np.ndarray, names: Iterable[str]) -> Non
 
 
 def _joined(separator: str, ends: tuple[str, str], *parts: str) -> tuple[str, str]:
-    """Return the text before and after the bars, whose ends these are; empty parts are left out."""
+    """Return the text before and after the bars; empty parts are left out."""
     return ends[0], separator.join([ends[1], *(part for part in parts if part)])
 
 

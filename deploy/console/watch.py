@@ -2,8 +2,8 @@
 
 `python -m deploy.console.watch --listen unixsock-stream/FILE` opens the hub that robot, shim and
 viewer connect to. Other users have no access to it. `./deploy/up` contains a hub already. End this
-program after the services: it sums up the files that they have left in `--out`. Files of an earlier
-run go to the folder `previous`.
+program after the services: it writes the summary from the files in `--out`. Files of an earlier run
+go to the folder `previous`.
 """
 
 from __future__ import annotations
@@ -111,9 +111,10 @@ def status_of(config: RunConfig, *, stays: bool = False) -> Status:
 
 @contextlib.contextmanager
 def private_socket(folder: Path) -> Iterator[str]:
-    """Yield the endpoint of a socket in a private folder, or in a temporary one if it must be.
+    """Yield the endpoint of a socket in a private folder, or in a temporary one if necessary.
 
-    The path of a socket is short, and Zenoh takes some characters in it for settings.
+    It is necessary for a path that is too long for a socket, or with characters that Zenoh takes
+    for settings.
     """
     path = str(folder.absolute() / "hub")
     if len(path) <= _MAX_SOCKET_PATH and _PLAIN_PATH.fullmatch(path):

@@ -1,4 +1,4 @@
-"""The paper's conclusions: whether each holds in our trials, and the numbers that show it."""
+"""The paper's conclusions, with the verdict of our trials on each and the numbers behind it."""
 
 from __future__ import annotations
 

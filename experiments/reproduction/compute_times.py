@@ -4,7 +4,7 @@ Each controller walks in lockstep over one profile of the burning building, with
 collector off and the process on one core. The computations of the robot and the edge are timed in
 place, between those of the other node and of the plant. Their caches are therefore colder than on
 two computers. The full QP is timed on the states that LA measured. Repetitions of a walk are the
-same to the last bit, so the least of a tick's times is the one with the fewest interruptions.
+same to the last bit. So the least time of a tick is the one with the fewest interruptions.
 
 A slow computer's times are these times multiplied by a compute-time scale. That is a model: no
 clock was changed.

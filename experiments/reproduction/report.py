@@ -55,9 +55,11 @@ _FIGURES = {
 def add_report_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report`."""
     parser.add_argument(
-        "--out", type=Path, default=DEFAULT_OUT, metavar="DIR", help="folder of `run`"
+        "--out", type=Path, default=DEFAULT_OUT, metavar="DIR", help="folder that `run` has written"
     )
-    parser.add_argument("--docs", type=Path, default=Path("docs"), metavar="DIR")
+    parser.add_argument(
+        "--docs", type=Path, default=Path("docs"), metavar="DIR", help="folder of the page"
+    )
 
 
 def run_report(arguments: argparse.Namespace) -> int:
@@ -82,7 +84,7 @@ def run_report(arguments: argparse.Namespace) -> int:
 def report_text(results: Results, found: Sequence[Claim]) -> str:
     """The page in Markdown: the outcomes at a glance, figures, conclusions, then every number."""
     parts = [
-        "# The paper's tables and figures, made anew",
+        "# The paper's tables and figures, reproduced",
         "This page has Tables II–VI and Figures 4–6 of H. Zhu et al., *Enabling Remote Whole-Body "
         "Control with 5G Edge Computing* (2020), with our trials beside the paper's numbers. PR "
         "applies the last torque received. LA applies the last projector to fresh feedback. LC, "

@@ -36,15 +36,22 @@ def add_reproduction_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "names", nargs="+", metavar="NAME", help=f"{', '.join(sorted(NAMES))}, or {ALL}"
     )
-    parser.add_argument("--quick", action="store_true", help="fewer seeds and delays: minutes")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
     parser.add_argument(
-        "--scheduler", metavar="tcp://HOST:8786", help="play on the Dask cluster there"
+        "--quick", action="store_true", help="play fewer seeds and delays, in minutes"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help=f"default {DEFAULT_OUT}, with --quick {QUICK_OUT}"
+        "--workers", type=int, metavar="N", help="number of processes (default: all cores)"
     )
-    parser.add_argument("--keep-code", action="store_true", help="use trials of other code too")
+    parser.add_argument(
+        "--scheduler", metavar="tcp://HOST:8786", help="play on the Dask cluster of this scheduler"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help=f"folder of the studies (default {DEFAULT_OUT}, with --quick {QUICK_OUT})",
+    )
+    parser.add_argument("--keep-code", action="store_true", help="also use trials of other code")
 
 
 def run_reproduction(arguments: argparse.Namespace) -> int:

@@ -57,7 +57,9 @@ def no_worse(la: Outcome, pr: Outcome, metric: str) -> bool:
 
 
 def verdict(better: bool, ordered: bool) -> Verdict:
-    """The verdict from two facts: the number is same or better; its ordering is the paper's."""
+    """The verdict from two facts: whether the number is the same or better, and whether its
+    ordering is the paper's.
+    """
     if better:
         return Verdict.SAME_OR_BETTER
     return Verdict.SAME_ORDERING if ordered else Verdict.DIFFERS

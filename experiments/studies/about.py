@@ -32,7 +32,7 @@ def about_now(study: Study) -> dict[str, Any]:
 
 
 def commit_in_words(about: Mapping[str, Any]) -> str:
-    """The commit in an `about.json`."""
+    """Describe the commit of an `about.json` in words."""
     changed = " with uncommitted changes" if about["dirty"] else ""
     return f"{(about['commit'] or 'unknown')[:10]}{changed}"
 

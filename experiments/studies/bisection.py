@@ -1,10 +1,10 @@
 """Limits from bisections: the largest value that each seed of each cell stands, and their median.
 
 A bisection assumes that the robot is monotone: if it falls at some value of the setting, it falls
-at every larger one. The limit is then the largest value that it stands, to within the resolution.
-A robot that is not monotone stands again beyond a value at which it fell. The limit is then one of
-several places between `low` and `high` where a standing and a falling value are that close. It is
-not the largest value that the robot stands. Only the values in the table were played.
+at every larger one. The limit is then the largest value that it stands, to within the resolution. A
+robot that is not monotone stands again beyond a value at which it fell. The bisection then finds
+one of several places where a standing and a falling value are that close, and not the largest value
+that the robot stands. Only the values in the table were played.
 """
 
 from __future__ import annotations

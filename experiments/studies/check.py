@@ -61,8 +61,12 @@ def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sample", type=int, metavar="N", default=10, help="number of trials (default %(default)s)"
     )
-    parser.add_argument("--seed", type=int, metavar="S", help="seed of the sample; default: any")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+    parser.add_argument(
+        "--seed", type=int, metavar="S", help="seed of the sample (default: a random one)"
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="number of processes (default: all cores)"
+    )
     parser.add_argument(
         "--exact",
         action="store_true",
@@ -130,8 +134,8 @@ def _expected(reasons: Sequence[str]) -> str:
 def matched(study: Study, rows: Sequence[Row]) -> tuple[dict[int, Trial], list[Difference]]:
     """The trials of a study by the number of their row, and a difference for every other row.
 
-    A bisection is repeated with the outcomes in the rows. A row of a trial that it then does not
-    play is not part of the study.
+    A bisection is repeated with the outcomes in the rows. A row is not part of the study if the
+    repeated bisection does not reach it.
     """
     trials = {
         number: trial

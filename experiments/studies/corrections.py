@@ -127,9 +127,13 @@ class Laboratory:
 
 def add_corrections_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `corrections`."""
-    parser.add_argument("--out", type=Path, default=Path("docs/figures"), metavar="DIR")
-    parser.add_argument("--states", type=int, default=40, help="states per point (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--out", type=Path, default=Path("docs/figures"), metavar="DIR", help="folder to write to"
+    )
+    parser.add_argument(
+        "--states", type=int, default=40, help="states per point (default %(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the states (default 0)")
 
 
 def run_corrections(arguments: argparse.Namespace) -> int:

@@ -40,22 +40,30 @@ def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `sweep`."""
     parser.add_argument("study", metavar="STUDY", help="a shipped study or a TOML file")
     parser.add_argument("--quick", action="store_true", help="apply the study's table [quick]")
-    parser.add_argument("--seeds", type=int, metavar="N", help="replaces the study's")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+    parser.add_argument(
+        "--seeds", type=int, metavar="N", help="number of seeds, in place of the study's"
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="number of processes (default: all cores)"
+    )
     parser.add_argument(
         "--scheduler",
         metavar=EXAMPLE,
         help="play on the Dask cluster of this scheduler",
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="default runs/sweep-STUDY")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the trials (default runs/sweep-STUDY)"
+    )
     parser.add_argument(
         "--only",
         action="append",
         metavar="NAME",
-        help="play this cell or controller=la; repeatable",
+        help="play only this cell, or cells such as controller=la; repeatable",
     )
-    parser.add_argument("--table", type=Path, metavar="FILE", help="also write the table there")
-    parser.add_argument("--keep-code", action="store_true", help="use trials of other code too")
+    parser.add_argument(
+        "--table", type=Path, metavar="FILE", help="also write the table to this file"
+    )
+    parser.add_argument("--keep-code", action="store_true", help="also use trials of other code")
 
 
 def run_sweep(arguments: argparse.Namespace) -> int:

@@ -49,7 +49,7 @@ class Bisection:
 
     @property
     def setting(self) -> str:
-        """The bisected setting. The other settings follow it."""
+        """The bisected setting, which the other settings follow."""
         return next(iter(self.values))
 
     @property

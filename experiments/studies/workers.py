@@ -45,7 +45,7 @@ Item = TypeVar("Item")
 
 
 class Players(Generic[Item]):
-    """A team of `number` workers. `lost` is the error message for the loss of the whole team."""
+    """A team of `number` workers. `lost` is the error message if the whole team is lost."""
 
     def __init__(self, submit: Callable[[Item], Any], *, number: int, lost: str) -> None:
         self.number = number
@@ -128,7 +128,7 @@ def _play_trial(trial: Trial) -> Record:
 def local_players(workers: int, play: Callable[[Item], Record]) -> Iterator[Players[Item]]:
     """Open `workers` processes of this machine that play items. On leaving, they are killed.
 
-    Both `play` and the items can be pickled.
+    `play` and the items must be picklable.
     """
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())

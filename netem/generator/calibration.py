@@ -106,15 +106,26 @@ def ns3_runs(scenario: Scenario) -> list[DelayProfile]:
 def add_calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate`."""
     parser.add_argument("--seed", type=int, default=0, help="seed of the first profile")
-    parser.add_argument("--count", type=int, default=100, help="profiles in a set")
+    parser.add_argument("--count", type=int, default=100, help="number of profiles in a set")
     parser.add_argument(
-        "--sets", type=int, default=1, help="sets, of different seeds; several give ratio ranges"
+        "--sets",
+        type=int,
+        default=1,
+        help="number of sets of different seeds; several give ranges of the ratios",
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("docs/figures/network-model.png"), metavar="FILE.png"
+        "--out",
+        type=Path,
+        default=Path("docs/figures/network-model.png"),
+        metavar="FILE.png",
+        help="figure to write",
     )
     parser.add_argument(
-        "--table", type=Path, default=Path("docs/results/network-model.txt"), metavar="FILE.txt"
+        "--table",
+        type=Path,
+        default=Path("docs/results/network-model.txt"),
+        metavar="FILE.txt",
+        help="table to write",
     )
 
 

@@ -134,9 +134,18 @@ def add_generate_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `generate`."""
     parser.add_argument("scenario", help=f"one of {', '.join(SCENARIOS)}")
     parser.add_argument("--count", type=int, default=100, help="number of profiles")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the first; the next adds 1")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="duration of each")
-    parser.add_argument("--out", type=Path, default=Path("generated"), metavar="DIR")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        help="seed of the first profile; each further seed is 1 larger",
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=SECONDS, help="duration of each profile [s]"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("generated"), metavar="DIR", help="folder of the profiles"
+    )
     parser.add_argument(
         "--uplink",
         default=f"{UPLINK_BYTES}B",

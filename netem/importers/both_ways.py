@@ -1,4 +1,6 @@
-"""The files of both ways of a link, or one file and the user's word on the other way."""
+"""The files of both directions of a link, or one file and the user's setting for the other
+direction.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,9 @@ def way_in_name(path: Path) -> int | None:
 def read_both_ways(
     files: dict[int | None, Path], formats: list[Format], other_way: str | None, options: Options
 ) -> tuple[Measured, int | None]:
-    """The measurement of both ways, and the constant delay of a way without a file [ns]."""
+    """The measurement of both directions, and the constant delay of a direction without a file
+    [ns].
+    """
     paths = list(files.values())
     if PCAP in formats:
         if len(paths) != 2 or formats[0] != formats[1]:
@@ -98,7 +102,9 @@ def _completed(
     other_way: str | None,
     options: Options,
 ) -> tuple[Measured, int | None]:
-    """Add the missing way. Return the measurement, and its constant delay [ns] if it has one."""
+    """Add the missing direction. Return the measurement, and the constant delay of that direction
+    [ns] if it has one.
+    """
     path = next(iter(files.values()))
     known = UPLINK if measured.ways[DOWNLINK] is None else DOWNLINK
     if other_way is None and not each.either_way:

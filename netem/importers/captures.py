@@ -2,9 +2,9 @@
 
 Addresses, protocol, IP identification, fragment offset, length and payload identify a packet. Of
 each payload the importer compares the bytes that both captures hold. A sender uses an
-identification again after a while, so two captures of one packet may be at most 30 s apart.
-Packets that agree in all this within that time are paired in order if none of them is missing. If
-one is missing, the captures do not tell which, and the importer refuses them. A datagram arrives
+identification again after a while, so two captures of one packet may be at most 30 s apart. If
+several packets within that time are the same in all of this, they are paired in order. If one of
+them is missing, the captures do not show which, and the importer refuses them. A datagram arrives
 with its last fragment, and is lost if any fragment is lost. Addresses must be the same at both
 ends. A translation of addresses between the ends hides every packet.
 """
@@ -52,7 +52,9 @@ class _Datagram:
 
 
 def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measured:
-    """The measurement of both ways, or of the one way of which both captures have packets."""
+    """The measurement of both directions, or of the one direction of which both captures have
+    packets.
+    """
     held = {path: held_of_each(path) for path in (robot_side, edge_side)}
     compared = min(held.values())
     near, far = (_read(path, compared) for path in (robot_side, edge_side))
@@ -219,6 +221,6 @@ def _way(
 
 
 def _in_words(directions: dict[_Flow, int], way: int) -> list[str]:
-    """The first flows of a way, as `10.0.0.1 > 10.0.0.2`."""
+    """The first flows of a direction, as in `10.0.0.1 > 10.0.0.2`."""
     flows = [flow for flow, direction in directions.items() if direction == way]
     return [" > ".join(str(ipaddress.ip_address(end)) for end in flow) for flow in flows[:8]]

@@ -25,7 +25,7 @@ _LOST = frozenset(
 
 @dataclass(frozen=True)
 class Place:
-    """The columns that hold a value, one or several put together, and their units [ns]."""
+    """The column or columns that together hold a value, and their units [ns]."""
 
     at: tuple[int, ...]
     units_ns: tuple[int | None, ...]

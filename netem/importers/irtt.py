@@ -72,7 +72,7 @@ def _halved(
 
 
 def _with_unknown(ways: tuple[Way, Way], sent: np.ndarray, lost: np.ndarray) -> tuple[Way, Way]:
-    """Both ways, each with the times of the packets that were lost on the other way."""
+    """Both directions, each with the times of the packets that were lost in the other direction."""
     up, down = ways
     return (
         replace(up, unknown_ns=sent[lost == "true_down"]),

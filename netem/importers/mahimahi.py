@@ -34,7 +34,7 @@ _AT_LEAST_MS = 10_000
 
 
 def read_mahimahi(path: Path, options: Options, direction: int) -> Measured:
-    """The delays that a load would meet. `ProfileError` names the line that is wrong."""
+    """The delays of a load over this trace. `ProfileError` names the line that is wrong."""
     if options.load is None:
         raise ProfileError(
             f"{path}: expected a --load for a trace of capacity (opportunities to send 1500 B), "
@@ -75,7 +75,7 @@ def read_mahimahi(path: Path, options: Options, direction: int) -> Measured:
 
 
 def read_cellreplay(path: Path, options: Options, direction: int) -> Measured:
-    """The delay of a message in place of each train. `ProfileError` names the wrong line."""
+    """The delay of a message sent in place of each train. `ProfileError` names the wrong line."""
     load = options.load[direction] if options.load else None
     packets = -(-load.size // _TRAIN_PACKET_BYTES) if load else 1
     times, delays, longer = array("q"), array("q"), 0

@@ -21,11 +21,13 @@ UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "µs": 1_000, "μs
 
 @dataclass(frozen=True)
 class Way:
-    """Packets of one way in the order of sending, (n,) each. A lost packet's `delay_ns` is unused.
+    """Packets of one direction in the order of sending, (n,) each. A lost packet's `delay_ns` is
+    unused.
 
     `message_bytes` and `rate_hz` describe the traffic of the measurement, None where unknown.
-    `unknown_ns` has the sending times of packets whose fate on this way is unknown. `counts` is the
-    numbers of packets sent and lost, if an entry here does not stand for one packet.
+    `unknown_ns` has the sending times of packets of which it is unknown whether they arrived.
+    `counts` is the numbers of packets sent and lost, if an entry here does not stand for one
+    packet.
     """
 
     sent_ns: np.ndarray
@@ -67,7 +69,7 @@ class Measured:
 
 
 def one_way(direction: int, way: Way, *notes: str, **series: Series) -> Measured:
-    """A measurement of one way only."""
+    """A measurement of one direction only."""
     return Measured((way, None) if direction == UPLINK else (None, way), notes, series=series)
 
 

@@ -55,7 +55,7 @@ def is_ns3_sendings(line: str) -> bool:
 
 
 def read_ns3(path: Path, options: Options, direction: int) -> Measured:
-    """The packets of one way. `ProfileError` names the line that is wrong."""
+    """The packets of one direction. `ProfileError` names the line that is wrong."""
     line, header = next(content_lines(path), (1, ""))
     found = layout(header)
     if found is None:

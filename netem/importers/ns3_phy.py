@@ -41,7 +41,7 @@ def refuse_alone(path: Path, options: Options, direction: int) -> Measured:
 
 
 def read_phy(path: Path, options: Options) -> dict[str, Series]:
-    """Columns `uplink_capacity_bytes`, `sinr_ul_db`, … of the ways that are in the trace."""
+    """Columns `uplink_capacity_bytes`, `sinr_ul_db`, … of the directions that are in the trace."""
     rows = content_lines(path)
     line, header = next(rows, (1, ""))
     names = _names(header)

@@ -2,7 +2,7 @@
 
 A pause lasts at least `PAUSE_NS`, and at least `_MANY` times the usual time between packets.
 Interpolation would give a ramp of delays that no packet had. By the user's choice the importer
-refuses a pause, cuts it out of the time of both ways, or takes it as lost. In a record of arrivals
+refuses a pause, cuts it out of both directions, or counts it as lost. In a record of arrivals
 alone, a pause is an outage. In a measurement that stopped and went on, it is not.
 """
 
@@ -65,7 +65,7 @@ def _sent(way: Way) -> np.ndarray:
 
 
 def _pauses(way: Way, period_ns: int) -> np.ndarray:
-    """Begin and end of each pause [ns], (n, 2). The packet before a pause keeps its usual time."""
+    """Start and end of each pause [ns], (n, 2). The packet before a pause keeps its usual time."""
     sent, usual_ns = _sent(way), usual_spacing_ns(way, period_ns)
     long = np.diff(sent) >= max(PAUSE_NS, _MANY * usual_ns)
     return np.stack([sent[:-1][long] + usual_ns, sent[1:][long]], axis=1) if usual_ns else _NONE

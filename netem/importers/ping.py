@@ -253,7 +253,8 @@ def _along(
 ) -> np.ndarray:
     """The sending time of each number [ns].
 
-    Numbers without a reply lie between their neighbours, or an interval apart at either end.
+    A number without a reply gets a time between its neighbours, or an interval from the first or
+    last one.
     """
     between = np.interp(numbers, answered, times - times[0])
     before, after = np.minimum(numbers - answered[0], 0), np.maximum(numbers - answered[-1], 0)

@@ -3,14 +3,14 @@
 A period takes the longest delay of the packets sent in it. Of a datagram in fragments, the last
 fragment counts. A period is lost only if all its packets are lost.
 
-A period without a packet is filled. Between two successive packets that arrived, it is
-interpolated along the time of sending. This is exact after an outage in which packets queue: they
-leave together, and a packet sent 1 ms later waits 1 ms less. A lost packet stands for the time
-until the next packet. So does a packet that arrived before a lost one. The share of periods lost is
-then the share of packets lost. The length of an outage is exact to within the time between packets.
+A period without a packet is filled. Between two successive packets that arrived, it is interpolated
+along the time of sending. This is exact after an outage in which packets queue: they leave
+together, and a packet sent 1 ms later waits 1 ms less. A lost packet stands for the time until the
+next packet. So does a packet that arrived before a lost one. The share of periods lost is then the
+share of packets lost. The length of an outage is exact to within the time between packets.
 
-The boundaries of the periods lie at a phase at which no packets are sent. They part no burst, and
-rounded times do no harm. Both ways share one axis, the time for which both were measured.
+The boundaries of the periods lie at a phase at which no packets are sent. So they split no burst,
+and rounded times do no harm. Both directions share one axis, the time for which both were measured.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ MAX_PERIODS = 10_000_000
 def to_profile(
     measured: Measured, options: Options, *, name: str, constant_ns: int | None = None
 ) -> DelayProfile:
-    """The profile of a measurement. `constant_ns` is the delay of a way that was not measured."""
+    """The profile of a measurement. `constant_ns` is the delay of a direction that was not
+    measured.
+    """
     period_ns = options.period_ns
     measured = without_pauses(measured, name=name, period_ns=period_ns, treatment=options.pause)
     notes = list(measured.notes)
@@ -113,7 +115,7 @@ def _check(name: str, direction: str, way: Way) -> None:
 
 
 def _on_one_axis(name: str, measured: Measured, notes: list[str]) -> list[Way | None]:
-    """The ways as they are, or both from 0 if their measurements do not overlap in time."""
+    """Both directions unchanged, or both from 0 if their measurements do not overlap in time."""
     up, down = measured.ways
     if up is None or down is None:
         return [up, down]
@@ -146,7 +148,9 @@ def _start(sent_ns: np.ndarray, begin_ns: int, period_ns: int) -> int:
 
 
 def _end(way: Way, period_ns: int) -> int:
-    """The end of the measurement of a way [ns]. A lost last packet stands as long as others."""
+    """The end of the measurement of a direction [ns]. A lost last packet stands for as long as
+    other packets.
+    """
     last = int(way.sent_ns[-1])
     return last + max(usual_spacing_ns(way, period_ns) - period_ns, 0) * bool(way.lost[-1])
 

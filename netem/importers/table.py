@@ -63,7 +63,7 @@ def known_columns(path: Path, start: bytes, first_line: str) -> Mapping[str, str
 
 
 def read_table(path: Path, options: Options, direction: int) -> Measured:
-    """The ways that the columns give. `ProfileError` names the row that is wrong."""
+    """The directions that the columns give. `ProfileError` names the row that is wrong."""
     columns = options.columns or _columns_of(path)
     if "id" in columns:
         return _joined(path, options, direction)
@@ -112,7 +112,7 @@ def read_table(path: Path, options: Options, direction: int) -> Measured:
 
 
 def _joined(path: Path, options: Options, direction: int) -> Measured:
-    """One way, from the sender's table and the receiver's, joined by the ids of packets."""
+    """One direction, from the sender's and the receiver's table, joined by the ids of packets."""
     receiver = options.beside.get(path)
     if receiver is None:
         raise ProfileError(

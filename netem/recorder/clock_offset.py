@@ -12,7 +12,7 @@ drift, so θ is a line a + b x between the two clouds. The estimate is the line 
 
 f is half the least round trip. It is also the uncertainty, because the clocks of the ends cannot
 tell how the round trip divides into up and down. The estimate assumes halves. On a path with
-unequal least delays one way then looks up to f slower, and the other up to f faster.
+unequal least delays one direction then looks up to f slower, and the other up to f faster.
 
 f is concave and piecewise linear. Its corners are slopes of the clouds' convex hulls, so trying
 these slopes is exact (Zhang, Liu, Xia, INFOCOM 2002, on clocks in network measurements).
@@ -34,7 +34,7 @@ Hull: TypeAlias = list[tuple[int, int]]
 
 @dataclass(frozen=True)
 class Stamps:
-    """Time stamps of the messages of one way, in the order of sending, (n,) int64.
+    """Time stamps of the messages of one direction, in the order of sending, (n,) int64.
 
     `sent_ns` is by the sender's clock, `received_ns` by the receiver's. `NEVER` stands for an
     unknown time.
@@ -86,7 +86,9 @@ def synchronised(up: Stamps, down: Stamps) -> ClockOffset | None:
 
 
 def equal_least_delays(up: Stamps, down: Stamps) -> ClockOffset:
-    """The offset by the module's equation. At least one message of each way must have arrived."""
+    """The offset by the module's equation. At least one message of each direction must have
+    arrived.
+    """
     up, down = up.arrived, down.arrived
     reference_ns = int(up.received_ns[0])
     lead_ns = int(up.received_ns[0] - up.sent_ns[0])

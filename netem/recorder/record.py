@@ -1,9 +1,9 @@
 """Measure a real path as a profile: `./wbc netem record`, one end on either machine.
 
-The two ends stand in for robot and edge: with the same keys, rate, sizes and quality of service. A
-path that carries the stack therefore carries their messages too. `probe_near` and `probe_far` have
-the protocol of the ends, `record_loops` the schedule, `clock_offset` and `recording` the
-evaluation.
+The two ends take the places of robot and edge, with the same keys, rate, sizes and quality of
+service. A path that carries the stack therefore carries their messages too. `probe_near` and
+`probe_far` have the protocol of the ends, `record_loops` the schedule, `clock_offset` and
+`recording` the evaluation.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Loops of the two ends of a recording, which send on an absolute schedule.
 
-A loop that wakes late skips the messages that it has missed. Sent in a burst, they would queue
-behind one another and measure that queue. The bus's thread also sends, so on arrival it only stamps
-a message. The loop reads the message in the rest of a period.
+A loop that wakes late skips the messages that are overdue. In a burst they would queue behind one
+another, and the recording would measure that queue. The bus's thread also sends, so on arrival it
+only stamps a message. The loop reads the message in the rest of a period.
 """
 
 from __future__ import annotations

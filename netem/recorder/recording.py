@@ -148,7 +148,7 @@ def resample(
 def _up_to(
     end_ns: int, sent_ns: np.ndarray, delays_ns: np.ndarray, *, period_ns: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Append lost messages until `end_ns`, from which no message of the sender is known."""
+    """Append lost messages until `end_ns`, because no message sent since then is known."""
     missing = max(0, (end_ns - int(sent_ns[-1])) // period_ns)
     more = sent_ns[-1] + period_ns * np.arange(1, missing + 1)
     return np.concatenate([sent_ns, more]), np.concatenate([delays_ns, np.full(missing, LOST)])

@@ -46,7 +46,8 @@ class Envelope(NamedTuple):
 class Delivery(NamedTuple):
     """A message as it arrived.
 
-    `on_plans`: on the key of plans, which shares its direction of a link with another key.
+    `on_plans`: it arrived on the key of plans. Plans go in the direction of answers, on a key of
+    their own.
     """
 
     data: bytes
@@ -99,7 +100,9 @@ class ReceptionCounter:
 
     @property
     def lost(self) -> int:
-        """The count of numbers missing between the first and the last one of each publisher."""
+        """The number of sequence numbers missing between the first and the last one of each
+        publisher.
+        """
         return sum(
             max(0, last - first + 1 - arrived) for first, last, arrived in self._spans.values()
         )

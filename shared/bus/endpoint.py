@@ -35,7 +35,7 @@ class Endpoint:
 
     @property
     def dialled_here(self) -> Endpoint:
-        """The endpoint at which this machine reaches a process that listens on this one."""
+        """The endpoint by which a process of this machine reaches the listener at this endpoint."""
         if self.host not in ("0.0.0.0", "::"):
             return self
         return Endpoint(self.protocol, "127.0.0.1", self.port, self.settings)

@@ -2,9 +2,9 @@
 
 The robot, the shim and the edge each serve the commands that they carry out. A command has one
 answer. A server takes a few commands at once and then four a second, off the robot's tick. More
-would delay more than one tick in a hundred, so the server drops the rest of a flood. A script,
-whose times are known before the start, needs no message: each process carries out its own commands
-of it.
+would delay more than one tick in a hundred, so the server drops the rest of a flood. The times of a
+script are known before the start. A script therefore needs no message: each process carries out
+those of its commands that concern it.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class RobotTimes:
         play_script(script, carry_out_due, self._say)
 
     def _wait_ns(self, time_ns: int) -> float:
-        """Return the time until a time of the task [ns of real time]; infinite while it stands."""
+        """Return the real time until a time of the task [ns]; infinite while the task is paused."""
         reading, speed = self._reading, self._clock.speed
         assert reading is not None
         left_ns = time_ns - reading.task_ns - (self._clock.now_ns() - reading.now_ns)

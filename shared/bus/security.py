@@ -66,8 +66,7 @@ def grants(role: str, robots: tuple[str, ...]) -> tuple[Grant, ...]:
     """Return the grants of a role's neighbours, if the role deals with `robots`.
 
     States travel from robots to the edge, projectors and plans back. A robot has its own keys only.
-    Towards the robot, the shim has the edge's place, and towards the edge the robot's. So has the
-    router.
+    The shim and the router act as the edge for the robot, and as the robot for the edge.
     """
 
     def towards_robot(neighbour: str, robot: str) -> Grant:

@@ -73,9 +73,9 @@ class ZenohBus:
     that it has dialled. A `router` carries messages between its clients. `largest` is the maximum
     size of a message over a link [bytes], and makes buffers small; None: the session is local.
     After `lease` [s] without a sign of life of the other end, a `tcp/` connection counts as lost
-    and is made again: TCP alone may wait as long again as an outage lasted. Zenoh cannot close a
-    TLS connection while it is full, and datagrams wait for nothing, so others keep Zenoh's lease.
-    `settings` are further settings of Zenoh.
+    and is made again. TCP alone may stay silent after an outage for as long as the outage lasted.
+    Connections of other protocols keep Zenoh's lease: Zenoh cannot close a TLS connection with a
+    full queue, and datagrams need no lease. `settings` are further settings of Zenoh.
     """
 
     def __init__(
@@ -272,7 +272,7 @@ class ZenohRequests:
 
 
 def _check_limits() -> None:
-    """Raise `LinkError` if this process may not open what a session needs, which ends in a hang."""
+    """Raise `LinkError` if a limit of this process is too low: a session would then hang."""
     for limit, least, unit, name, remedy in _LIMITS:
         allowed, _ = resource.getrlimit(limit)
         if allowed != resource.RLIM_INFINITY and allowed < least:

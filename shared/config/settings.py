@@ -46,9 +46,7 @@ class Gains:
     contact_damping: float = setting(
         20.0, help="damping of the soles on the floor", unit="1/s", at_least=0.0
     )
-    swing_foot: float = setting(
-        300.0, help="gain of the foot in the air", unit="1/s²", at_least=0.0
-    )
+    swing_foot: float = setting(300.0, help="gain of the swing foot", unit="1/s²", at_least=0.0)
     angular_momentum: float = setting(
         10.0, help="gain of the angular momentum", unit="1/s", at_least=0.0
     )
@@ -62,7 +60,7 @@ class Weights:
     base_orientation: float = setting(0.1, help="weight of the base", at_least=1e-9)
     posture: float = setting(1e-2, help="weight of the joints", at_least=1e-9)
     force: float = setting(1e-5, help="weight of the contact forces", at_least=1e-9)
-    swing_foot: float = setting(10.0, help="weight of the foot in the air", at_least=1e-9)
+    swing_foot: float = setting(10.0, help="weight of the swing foot", at_least=1e-9)
     angular_momentum: float = setting(0.0, help="weight of the angular momentum", at_least=0.0)
 
 
@@ -90,8 +88,8 @@ class BalanceConfig:
 
     `com` is the task's own, with `gains.com`. `dcm` commands the centre of pressure (CoP) by the
     divergent component of motion. It may command the CoP `beyond` the support, which turns the
-    trunk. An observer adds the estimated external force if it is worth more than `dead_band` as a
-    shift of the CoP. `dcm` needs a weight of the CoM of about 10.
+    trunk. An observer adds the estimated external force if it shifts the CoP by more than
+    `dead_band`. `dcm` needs a weight of the CoM of about 10.
     """
 
     law: str = setting("com", help="feedback of the CoM in the plane", choices=("com", "dcm"))
@@ -155,7 +153,7 @@ class PlantConfig:
     velocity_limits: bool = setting(
         False, help="a motor at the URDF's velocity limit drives its joint no faster"
     )
-    leg_collision: bool = setting(False, help="a leg stops at the other one")
+    leg_collision: bool = setting(False, help="the legs collide with each other")
     unknown_ground: str = setting(
         "",
         help="the plant's ground in place of the planned one, in the same forms",
@@ -304,9 +302,9 @@ class WalkConfig:
 
     The task `walk` takes `steps` equal steps. The task `go` finds steps to `goal` over the ground
     that it knows. Their length forward is at most `step_length`. The heading of the goal may be
-    left out. A step takes `step_duration`. In it the robot stands on both feet for
-    `double_support`, which is 5 ms in the paper. `dcm` plans the CoM in closed form, `mpc` by model
-    predictive control.
+    left out. A step takes `step_duration`. For `double_support` of it the robot stands on both
+    feet, in the paper for 5 ms. `dcm` plans the CoM in closed form, `mpc` by model predictive
+    control.
     """
 
     steps: int = setting(6, help="number of steps", at_least=1, at_most=1000, flag="--steps")
@@ -335,10 +333,10 @@ class WalkConfig:
         0.8, help="duration of a step", unit="s", at_least=0.2, flag="--step-duration"
     )
     double_support: float = setting(
-        0.02, help="part of a step on both feet", unit="s", at_least=1e-3, flag="--double-support"
+        0.02, help="time of a step on both feet", unit="s", at_least=1e-3, flag="--double-support"
     )
     swing_height: float = setting(
-        0.05, help="height of the foot in the air", unit="m", at_least=0.0, flag="--swing-height"
+        0.05, help="height of the swing foot", unit="m", at_least=0.0, flag="--swing-height"
     )
     begin_duration: float = setting(
         1.0, help="time on both feet before the first step", unit="s", at_least=0.5
@@ -351,7 +349,7 @@ class WalkConfig:
     )
     com_lowering: float = setting(
         0.0,
-        help="height of the CoM below that of standing: longer steps and higher stairs",
+        help="distance of the CoM below its height in standing, for longer steps and higher stairs",
         unit="m",
         at_least=0.0,
         at_most=0.3,
@@ -379,10 +377,11 @@ class WalkConfig:
 class SteppingConfig:
     """Steps that the robot decides on by itself.
 
-    The robot steps when the divergent component of motion, `ahead` from now, will be outside the
-    support, or `beyond_sideways` outside it to the left or right. There the hip strategy helps
-    longer. It decides anew every `period_ns`, until `freeze` before it lands. A foot bears when its
-    measured force exceeds `landing_force`. Then both feet bear for at least `double_support`.
+    The robot predicts the divergent component of motion `ahead` from now. It steps if the
+    prediction is outside the support; to the left or right it must be `beyond_sideways` outside,
+    because the hip strategy helps longer there. The robot decides anew every `period_ns`, until
+    `freeze` before the swing foot lands. A foot counts as loaded when its measured force exceeds
+    `landing_force`. Both feet then stay loaded for at least `double_support`.
     """
 
     mode: str = setting(
@@ -392,27 +391,31 @@ class SteppingConfig:
         flag="--stepping",
     )
     ahead: float = setting(
-        0.06, help="time for which the robot looks ahead before it steps", unit="s", at_least=0.0
+        0.06, help="time ahead for which the DCM is predicted", unit="s", at_least=0.0
     )
     beyond_sideways: float = setting(
-        0.05, help="distance beside the support at which it steps", unit="m", at_least=0.0
+        0.05,
+        help="distance of the DCM beside the support above which it steps",
+        unit="m",
+        at_least=0.0,
     )
     force_lasts: float = setting(
-        0.03, help="time for which it expects an external force to last", unit="s", at_least=0.0
+        0.03, help="expected further duration of an external force", unit="s", at_least=0.0
     )
     period_ns: int = setting(5_000_000, help="period of decisions", at_least=1_000_000)
     freeze: float = setting(
-        0.05, help="time before the landing from which its place stays", unit="s", at_least=0.01
+        0.05,
+        help="time before the landing from which on the foothold is fixed",
+        unit="s",
+        at_least=0.01,
     )
     landing_force: float = setting(
-        40.0, help="force on a foot at which it bears", unit="N", at_least=1.0
+        40.0, help="force at which a foot counts as loaded", unit="N", at_least=1.0
     )
     double_support: float = setting(
         0.03, help="least time on both feet between steps", unit="s", at_least=0.0
     )
-    swing_height: float = setting(
-        0.04, help="height of the foot in the air", unit="m", at_least=0.0
-    )
+    swing_height: float = setting(0.04, help="height of the swing foot", unit="m", at_least=0.0)
 
 
 @dataclass(frozen=True)
@@ -424,8 +427,8 @@ class SwitchConfig:
     state `prepare_ns` before the switch. With `solve_on_board`, the robot solves the full QP every
     `period_ns`, in a window of `window_ns` centred on the switch. The on-board computer is slow: it
     takes `compute_time_scale` times as long as a fast core, which takes `compute_ns`. The scale is
-    the paper's 3.7 GHz / 1.2 GHz, and the product its worst case, 2.4 ms (Table V). If the robot
-    needs longer than `prepare_ns`, it begins earlier, to be ready in time.
+    the paper's 3.7 GHz over 1.2 GHz. The product of both is the paper's worst case, 2.4 ms (Table
+    V). If the robot needs longer than `prepare_ns`, it begins earlier, to be ready in time.
     """
 
     prepare_on_edge: bool = setting(True, help="the edge prepares the next mode")
@@ -463,17 +466,16 @@ class CorrectionConfig:
     When the joints have moved by `refresh_distance`, root mean square, the edge factorises the
     present contact mode and the next one again. If the robot does not report that it holds a
     factorisation, the edge sends it again after `retry_ns`, then at growing intervals. If it has
-    sent nothing for `retry_ns`, it sends a sign of life. `posture_error` moves every joint by that
-    angle before the edge factorises, in a direction that the seed draws. It shows how wrong a
+    sent nothing for `retry_ns`, it sends a sign of life. `posture_error` moves every joint by this
+    angle before the edge factorises. The seed draws the direction. It shows how wrong a
     factorisation may be.
 
     The contraction estimate decides how the robot falls back. Above `refresh_above` the on-board
-    computer factorises, if `on_board_budget`, the part of its time for this, is not zero. Above
-    `stop_above` a walk ends with the step. Above `give_up_above` the robot uses the stale optimum
-    without a correction.
+    computer factorises, for the part `on_board_budget` of its time. Above `stop_above` a walk ends
+    with the step. Above `give_up_above` the robot uses the stale optimum without a correction.
     """
 
-    level: str = setting("b", help="exact part of a correction", choices=CORRECTION_LEVELS)
+    level: str = setting("b", help="part of a correction that is exact", choices=CORRECTION_LEVELS)
     iterations: int = setting(
         1, help="corrections per tick, 0: the stale optimum with a fresh active set", at_least=0
     )

@@ -1,15 +1,15 @@
 """CoM trajectory of a walk from the linear inverted pendulum above the ground.
 
-With the CoM at height z over the ZMP p the pendulum obeys c̈ = ω² (c − p) in the plane, ω² = g/z. In
-the vertical the same law holds for c and the point at height z over p. The contact force then
+With the CoM at height z over the ZMP p the pendulum obeys c̈ = ω² (c − p) in the plane, ω² = g/z.
+In the vertical the same law holds for c and the point at height z over p. The contact force then
 passes through p and c, also on a stair. A plan is a sequence of segments on which the ZMP moves
 linearly. On each the motion has a closed form,
 
     c(t) = p(t) + A e^{ωt} + B e^{−ωt}.
 
-`dcm_plan` places the ZMP under the support foot, and in between during double support. It finds the
-one motion that does not diverge by running the capture point ξ = c + ċ/ω backwards from rest
-(Englsberger, Ott & Albu-Schäffer 2015).
+`dcm_plan` places the ZMP under the support foot, and in between during double support. It
+integrates the divergent component of motion (DCM) ξ = c + ċ/ω backwards from rest, which gives the
+only motion that does not diverge (Englsberger, Ott & Albu-Schäffer 2015).
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class ComState:
 class ComPlan:
     """Pendulum motion over ZMP segments; at rest before the first and after the last.
 
-    `position` is the CoM at the beginning, `capture_point` that at the end, both (3,) [m], lowered
-    by the pendulum's height. An error in the CoM shrinks forwards in time and one in the capture
-    point backwards, so each is run in its own direction: forwards both, a rounding error would grow
-    by e^{ωt}, to metres in 10 s.
+    `position` is the CoM at the beginning and `capture_point` the DCM at the end, both (3,) [m],
+    lowered by the pendulum's height. An error in the CoM shrinks forwards in time, and an error in
+    the DCM backwards. Each is therefore integrated in its own direction. If both ran forwards, a
+    rounding error would grow by e^{ωt}, to metres in 10 s.
     """
 
     def __init__(
@@ -153,7 +153,7 @@ def dcm_plan(segments: Sequence[ZmpSegment], *, omega: float, position: np.ndarr
 
 
 def _xi_before(segment: ZmpSegment, xi_end: np.ndarray, omega: float) -> np.ndarray:
-    """Capture point at a segment's beginning from the one at its end."""
+    """DCM at a segment's beginning, from the DCM at its end."""
     duration = segment.finish - segment.begin
     slope = (segment.end - segment.start) / duration
     offset_end = segment.end + slope / omega

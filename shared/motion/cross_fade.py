@@ -14,7 +14,9 @@ DURATION = 0.4
 
 
 class CrossFade:
-    """`before` until `begin_ns`, then over `DURATION` to `after`, in position to acceleration."""
+    """`before` until `begin_ns`, then a transition of `DURATION` to `after`, in position and its
+    two derivatives.
+    """
 
     def __init__(self, before: Motion, after: Motion, *, begin_ns: int) -> None:
         self.digest = before.digest

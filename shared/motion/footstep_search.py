@@ -4,13 +4,14 @@ A state is the foot that was placed last. Its successors are the footholds of th
 grid of (forward, sideways, turn) beside it. A foothold counts if the ground under the sole, and a
 margin around it, is level and allowed, and if the legs reach it. The cost of a step is 1, and a
 little more for steps sideways, turns and climbs. The estimate of the steps to the goal is the
-smaller one of two ways: turn, walk and turn, or walk sideways too. On ground that is not uniform
-the way is that of a point on a coarse grid, on which walls, holes and forbidden places are long.
+smaller one of two ways: turn, walk and turn, or walk sideways too. On ground that is not uniform,
+the estimate uses the way of a point on a coarse grid around walls, holes and forbidden places.
 
-The ground of a foothold is looked at coarsely for the successors, and closely when it is the
-foothold's turn. The search keeps at most `MAX_EXPANSIONS` states with their successors, and is a
-function of its arguments only. Method: Hornung, Dornbush, Likhachev and Bennewitz 2012, "Anytime
-search-based footstep planning with suboptimality bounds", without the anytime part.
+The search checks the ground under a foothold coarsely when it lists the successors, and closely
+when it expands the foothold. The search keeps at most `MAX_EXPANSIONS` states with their
+successors, and is a function of its arguments only. Method: Hornung, Dornbush, Likhachev and
+Bennewitz 2012, "Anytime search-based footstep planning with suboptimality bounds", without the
+anytime part.
 """
 
 from __future__ import annotations
@@ -176,9 +177,11 @@ class _Heights:
         return found
 
     def level(self, foot: Foot, sole: np.ndarray, yaw: float) -> np.ndarray | None:
-        """Return where the ground under points (n,) of a turned sole is level, by its cell.
+        """Return, by cell, whether the ground is level under the points (n,) of a turned sole
+        there.
 
-        It is true wherever `_Search` finds it level with a margin of 1 cm. None: everywhere.
+        It is true wherever `_Search` finds the ground level with a margin of 1 cm. None:
+        everywhere.
         """
         if self.uniform:
             return None
@@ -226,7 +229,7 @@ def _spread(table: np.ndarray, extreme: np.ufunc) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Node:
-    """A placed foot. `arrived` says whether it is in its place of the goal, `done` both feet."""
+    """A placed foot. `arrived`: this foot is in its place at the goal. `done`: both feet are."""
 
     cost: float
     placed: Footprint
@@ -236,7 +239,7 @@ class _Node:
 
     @property
     def start(self) -> Footprint | None:
-        """Footprint from which the foot has come; None at the beginning."""
+        """The earlier footprint of the same foot; None at the beginning."""
         before = None if self.parent is None else self.parent.parent
         return None if before is None else before.placed
 
@@ -375,7 +378,7 @@ class _Search:
             self._push(rank, cost, placed, node)
 
     def _cell_behind(self, node: _Node) -> tuple[int, int]:
-        """Coarse cell of the other foot: it says how far that foot can swing."""
+        """Coarse cell of the other foot, which decides how far that foot can swing."""
         other = self._swings_from(node)
         return round(other.real / _SAME_BEHIND), round(other.imag / _SAME_BEHIND)
 
@@ -464,7 +467,7 @@ class _Search:
 
 
 def _cell(placed: Footprint) -> tuple[object, ...]:
-    """Cell of a footprint: within it one state stands for all."""
+    """Cell of a footprint. The search keeps one state per cell."""
     x, y, turn = placed.x / _SAME, placed.y / _SAME, placed.yaw / _SAME_TURN
     return placed.foot, round(x), round(y), round(turn)
 
@@ -513,7 +516,7 @@ class _Reach:
         return holds & (climb <= _CLIMB)
 
     def holds(self, support: Footprint, goal: Footprint) -> bool:
-        """Return whether any place, as that of the goal, is within reach of a step."""
+        """Return whether a step reaches any of the places, for example that of the goal."""
         x, y = (goal.position - support.position).tolist()
         c, s = math.cos(support.yaw), math.sin(support.yaw)
         forward, sideways = c * x + s * y, -s * x + c * y

@@ -1,7 +1,7 @@
 """CoM trajectory of a walk by model predictive control of the linear inverted pendulum.
 
-The alternative to `dcm_plan`, after Herdt et al. 2010 ("Online walking motion generation with
-automatic footstep placement", Advanced Robotics 24) and Wieber 2006. From every sample time a
+This is the alternative to `dcm_plan`, after Herdt et al. 2010 ("Online walking motion generation
+with automatic footstep placement", Advanced Robotics 24) and Wieber 2006. From every sample time a
 horizon of `PREVIEW` is optimised and its first interval is walked. Over the samples of a horizon, Δ
 apart,
 
@@ -19,7 +19,7 @@ Differences from Herdt, and their reasons:
   the feet; here the ZMP's part leads, and velocity and jerk shape the motion between the feet.
 - He has no constraint at the end of the horizon. The one on ξ keeps the motion bounded by itself.
 
-The capture point ξ runs away from the ZMP, and η = c − ċ/ω runs after it. In each of the plane's
+The DCM ξ = c + ċ/ω diverges from the ZMP, and η = c − ċ/ω converges to it. In each of the plane's
 two directions the pendulum is ẋ = λ (x − p). For x = ξ it has λ = ω, and for x = η λ = −ω.
 """
 

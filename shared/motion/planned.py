@@ -34,10 +34,11 @@ SUPPORT_MODE = {Foot.LEFT: ContactMode.RIGHT_SUPPORT, Foot.RIGHT: ContactMode.LE
 
 @dataclass(frozen=True, slots=True)
 class PlannedPhase:
-    """A span of one contact mode, with its expected begin and end after the plan's begin [ns].
+    """A span of one contact mode, with its expected beginning and end after the plan's beginning
+    [ns].
 
-    `footprint` is where the foot in the air lands, None on both feet. `cop` and `dcm` (the latter
-    at the end) are positions in the plane [m].
+    `footprint` is the footprint in which the swing foot lands, None on both feet. `cop` and `dcm`
+    (the latter at the end) are positions in the plane [m].
     """
 
     mode: ContactMode
@@ -64,10 +65,10 @@ class PlanOrigin:
 class Plan:
     """A motion to a stand.
 
-    `number` grows from plan to plan. `feet` are the soles at its begin, left and right; the foot in
-    the air, if there is one, has the footprint from which it lifted. `com` is the CoM in the plane
-    at its begin [m], `swing_height` is over the higher footprint of a step [m]. A plan that has not
-    begun by `valid_until_ns` of the robot's clock is void.
+    `number` grows from plan to plan. `feet` are the soles at its beginning, left and right; a swing
+    foot has the footprint from which it lifted. `com` is the CoM in the plane at its beginning [m].
+    `swing_height` is the height above the higher footprint of a step [m]. A plan that has not begun
+    by `valid_until_ns` of the robot's clock is void.
     """
 
     number: int
@@ -79,7 +80,7 @@ class Plan:
     swing_height: float
 
     def footprints(self) -> tuple[Footprint, ...]:
-        """Return where feet land, in the order of time."""
+        """Return the footprints of the landings, in the order of time."""
         return tuple(each.footprint for each in self.phases if each.footprint is not None)
 
 
@@ -164,7 +165,7 @@ def _mean_yaw(feet: dict[Foot, Footprint]) -> float:
 
 
 def _feet_by_phase(plan: Plan) -> Sequence[dict[Foot, Footprint]]:
-    """The soles at the begin of each phase."""
+    """The soles at the beginning of each phase."""
     feet = {each.foot: each for each in plan.feet}
     by_phase = []
     for phase in plan.phases:

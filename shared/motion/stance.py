@@ -1,4 +1,4 @@
-"""The robot at rest over its feet: the few lengths that plans of steps need."""
+"""The robot at rest over its feet: the lengths that plans of steps need."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Decisions on steps: whether the robot must step, and by the step law with which foot and where.
+"""Decisions on steps: whether the robot must step, with which foot, and where.
 
-The robot decides from its newest state. With `stepping.mode = "edge"` the edge does, from the state
-that has come to it.
+The robot decides from its newest state. With `stepping.mode = "edge"` the edge decides, from the
+newest state that has arrived.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ class Balance:
 class InAir:
     """A step under way or about to begin.
 
-    `motion` (3, 2): position, velocity and acceleration in the plane that the foot has been given.
-    `elapsed` is the time since it lifted. `nominal` and `nominal_time` are those of an undisturbed
-    step, None if the robot steps only because it must.
+    `motion` (3, 2) has the position, velocity and acceleration of the swing foot's reference in the
+    plane. `elapsed` is the time since lift-off. `nominal` and `nominal_time` are the foothold and
+    time of an undisturbed step, None if no plan asks for a step.
     """
 
     foot: Foot
@@ -53,7 +53,7 @@ class InAir:
     def at_rest(
         print_: Footprint, nominal: Footprint | None = None, nominal_time: float | None = None
     ) -> InAir:
-        """The step of a foot that is on the ground yet."""
+        """The step of a foot that is still on the ground."""
         motion = np.zeros((3, 2))
         motion[0] = print_.position
         return InAir(print_.foot, motion, 0.0, nominal, nominal_time)
@@ -73,7 +73,7 @@ class Step:
 
 
 class StepDecision:
-    """The decisions of one robot."""
+    """Decides on the steps of one robot."""
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
         self.stance = Stance.of(robot, lowering=config.walk.com_lowering)
@@ -106,7 +106,7 @@ class StepDecision:
         support = balance.feet[other(in_air.foot)]
         c, s = math.cos(support.yaw), math.sin(support.yaw)
         side = 1.0 if in_air.foot is Foot.LEFT else -1.0
-        # Axes of the bearing sole as rows, y to the other foot.
+        # Axes of the support sole as rows, y to the other foot.
         axes = np.array(((c, s), (-side * s, side * c)))
         origin = support.position
         goal, yaw = np.array((0.0, law.width)), support.yaw
@@ -146,7 +146,7 @@ class StepDecision:
     def best_step(
         self, law: StepLaw, balance: Balance, *, without: Foot | None = None
     ) -> Step | None:
-        """Return the best step of either foot, or of the other one than `without`."""
+        """Return the best step of either foot, except the foot `without`."""
         steps = [
             self.step(law, balance, InAir.at_rest(balance.feet[foot]))
             for foot in Foot

@@ -1,22 +1,22 @@
-"""The step law: where and when the next foot lands, from the present capture point.
+"""The step law: where and when the swing foot lands, from the present DCM.
 
 In the plane the CoM is a linear inverted pendulum with ω² = g/z. Its divergent component of motion
-(DCM) ξ = c + ċ/ω obeys ξ̇ = ω (ξ − p + δ). Here p is the centre of pressure (CoP) in the sole that
-bears, and δ = F/(m ω²) the external force. While p stays, after a time T
+(DCM) ξ = c + ċ/ω obeys ξ̇ = ω (ξ − p + δ). Here p is the centre of pressure (CoP) in the support
+sole, and δ = F/(m ω²) the external force. While p stays, after a time T
 
     ξ_T = p + (ξ − p) e^{ωT} + δ (e^{ωh} − 1) e^{ω(T−h)}
 
-where the force lasts for h more. The law looks one step ahead, over landing times T, CoPs p and
-footholds u on a grid, and takes the best of
+if the force lasts for a further time h. The law looks one step ahead, over landing times T, CoPs p
+and footholds u on a grid, and takes the best of
 
     J = V_x(ξ_T − u) + V_y(ξ_T − u) + w_u ‖u − ū‖² + w_p ‖p − p̄‖² + w_T (T − T̄)²
 
-among those within reach. ū, p̄ and T̄ are the nominal ones. V is what the steps after this one cost:
-a table for each axis, made once by dynamic programming over steps of a fixed time. It depends on
-the robot's geometry only. So the edge computes the tables, and the robot applies them.
+among those within reach. ū, p̄ and T̄ are the nominal ones. V is the cost of the steps after this
+one: a table for each axis, made once by dynamic programming over steps of a fixed time. It depends
+on the robot's geometry only. So the edge computes the tables, and the robot applies them.
 
-All quantities are in the frame of the sole that bears. There y points to the foot in the air, so
-that one law serves both feet. After Khadiv et al. 2016 (step timing) and Englsberger et al. 2015.
+All quantities are in the frame of the support sole, with y towards the swing foot. One law
+therefore serves both feet. After Khadiv et al. 2016 (step timing) and Englsberger et al. 2015.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NOMINAL_TIME, _NEXT_TIME = 0.32, 0.35
 # Least distance of the sole's inner edges, and the largest reach beside and before the other foot.
 _CLEARANCE = 0.02
 _REACH_X, _REACH_Y = 0.36, 0.3
-# The foot in the air can do as much [m/s², m/s].
+# Limits of the swing foot [m/s², m/s].
 _MAX_ACCELERATION, _MAX_SPEED = 30.0, 3.2
 # Prices: of a foothold off the nominal one, of a CoP, of a time, of a DCM that no foot captures.
 _FOOTHOLD_PRICE, _COP_PRICE, _TIME_PRICE, _CAPTURE_PRICE = 1.0, 1.0, 0.3, 30.0
@@ -49,7 +49,7 @@ _N_FOOTHOLDS, _N_COPS, _N_OFFSETS, _FARTHEST = 33, 7, 81, 1.2
 
 @dataclass(frozen=True)
 class NoGo:
-    """A rectangle in which no foot may land: x and y from and to, in the plan's frame [m]."""
+    """A rectangle in which no foot may land: bounds of x and of y in the plan's frame [m]."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -61,7 +61,8 @@ class StepLaw:
 
     `times` (n_t,) are the landing times after lift-off [s]. `footholds_x`, `footholds_y` (n_u,) are
     candidates for the sole's origin, `cops_x`, `cops_y` (n_p,) for the CoP. `offsets` (n_d,) are
-    the values of ξ_T − u in `values_x` and `values_y` (n_d,). Those of y point to the other foot.
+    the values of ξ_T − u at which `values_x` and `values_y` (n_d,) are given. Positive y points to
+    the other foot.
     """
 
     omega: float
@@ -82,11 +83,12 @@ class StepLaw:
 
 @dataclass(frozen=True, slots=True)
 class StepQuestion:
-    """The state from which the law decides, in the frame of the bearing sole, y to the other foot.
+    """The state from which the law decides, in the frame of the support sole, y to the other foot.
 
-    `dcm`, `disturbance` (2,) [m]. `swing` (3, 2): position, velocity and acceleration that the foot
-    in the air has been given. `elapsed` is the time since lift-off, `nominal` (2,) the foothold of
-    an undisturbed step, `to_world` (2, 3) takes (x, y, 1) to the plan's frame for no-go boxes.
+    `dcm` and `disturbance` are (2,) [m]. `swing` (3, 2) has the position, velocity and acceleration
+    of the swing foot's reference. `elapsed` is the time since lift-off and `nominal` (2,) the
+    foothold of an undisturbed step. `to_world` (2, 3) takes (x, y, 1) to the plan's frame, for
+    no-go boxes.
     """
 
     dcm: np.ndarray
@@ -119,7 +121,7 @@ def make_step_law(robot: Robot, stance: Stance) -> StepLaw:
     width = stance.width
     sole = next(each for each in robot.soles if each.side is Foot.RIGHT)
     omega = stance.omega
-    # The right foot bears: y points to the left one.
+    # The right foot is the support foot: y points to the left one.
     (back, front), (_, inner) = sole.x, sole.y
     cops_x, cops_y = (_cops(start, end) for start, end in (sole.x, sole.y))
     narrowest = 2.0 * inner + _CLEARANCE
@@ -156,7 +158,7 @@ def make_step_law(robot: Robot, stance: Stance) -> StepLaw:
 
 @dataclass(frozen=True)
 class _Axis:
-    """The grids of an axis. A `mirrored` one points to the other foot, so that it turns round with
+    """The grids of an axis. A `mirrored` axis points to the other foot, so its sign changes with
     every step.
     """
 
@@ -199,7 +201,7 @@ def _cops(start: float, end: float) -> np.ndarray:
 
 
 def _values(offsets: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """V at some offsets; outside the table it goes on as at its end, by the square."""
+    """V at some offsets. Outside the table V grows linearly."""
     found = np.interp(at.ravel(), offsets, values).reshape(at.shape)
     outside = np.abs(at) - offsets[-1]
     beyond = np.maximum(outside, 0.0)
@@ -263,7 +265,7 @@ def choose_step(
 
 
 def _within_reach(swing: np.ndarray, footholds: np.ndarray, remaining: np.ndarray) -> np.ndarray:
-    """Return which footholds the foot in the air can reach in which time, (n_t, n_u)."""
+    """Return whether the swing foot can reach each foothold by each landing time, (n_t, n_u)."""
     position, velocity, acceleration = swing.tolist()
     distance = footholds - position
     T = remaining[:, None]
@@ -294,7 +296,7 @@ def _forbidden(law: StepLaw, to_world: np.ndarray) -> np.ndarray:
 
 
 def _vertex(grid: np.ndarray, values: np.ndarray, k: int) -> float:
-    """The least point of the parabola through the value at k and its neighbours."""
+    """The minimum of the parabola through the value at k and its neighbours."""
     if not 0 < k < len(grid) - 1:
         return float(grid[k])
     before, here, after = values[k - 1 : k + 2].tolist()

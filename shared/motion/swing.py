@@ -1,4 +1,4 @@
-"""The swing foot between two footprints: quintic in the plane and in heading, a bump in height.
+"""The swing foot between two footprints: a quintic in the plane and in heading, a bump in height.
 
 Between footprints of different heights another quintic is added to the bump. A foot goes up in the
 first part of its swing and down in the last one, so that it passes above the edge of a stair.
@@ -78,7 +78,7 @@ PEAK_SAMPLES = (0.1, 0.21, 0.4, 0.6, 0.79)
 def peak_gains() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The acceleration at `PEAK_SAMPLES` of a quintic that ends at rest, per D/T², v/T and a.
 
-    D is the distance, T the time, v and a the velocity and acceleration at its start.
+    D is the distance and T the time. v and a are the velocity and acceleration at the start.
     """
     s = np.array(PEAK_SAMPLES)
     return (
@@ -90,10 +90,10 @@ def peak_gains() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, slots=True)
 class SwingPath:
-    """The way of a foot in the air to a goal that may still change, continuous in acceleration.
+    """The path of a swing foot to a goal that may still change, continuous in acceleration.
 
     From `begin` the axes (x, y, z, heading) follow quintics with `coefficients` (6, 4). From
-    `highest`, after that `share` of the swing, the height follows `descent` (6,) instead, down from
+    `highest` on, after the part `share` of the swing, the height follows `descent` (6,), down from
     `top` [m]. After `end` the foot goes on down.
     """
 
@@ -199,7 +199,7 @@ def _path(
 ) -> SwingPath:
     """The path from a state (3, 4) at `begin` over the height `top` to a footprint at `end`.
 
-    The foot is highest after that `share` of the swing.
+    The foot is highest after the part `share` of the swing.
     """
     yaw = state[0, 3] + math.remainder(goal.yaw - state[0, 3], math.tau)
     landed = np.zeros((3, 4))

@@ -32,7 +32,7 @@ _SUPPORT_MODE = {Foot.LEFT: ContactMode.LEFT_SUPPORT, Foot.RIGHT: ContactMode.RI
 
 @dataclass(frozen=True)
 class Phase:
-    """A span of one contact mode; `step` is the step in the air, or the one just made."""
+    """A span of one contact mode; `step` is the step under way, or the last one."""
 
     begin_ns: int
     end_ns: int
@@ -162,7 +162,7 @@ class Walking:
                 support = step.support
                 add(begin, end, (support,), self._zmp(support), velocity, support.z)
             elif phase is not self.phases[-1]:
-                # The foot that has just landed bears the next step.
+                # The foot that has just landed is the support foot of the next step.
                 goal = step.goal
                 add(begin, end, (step.support, goal), self._zmp(goal), velocity, goal.z)
             else:

@@ -1,4 +1,4 @@
-"""Write figures into files."""
+"""Write figures to files."""
 
 from __future__ import annotations
 

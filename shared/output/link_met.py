@@ -23,7 +23,7 @@ _PERIOD_NS = 1_000_000
 
 @dataclass(frozen=True)
 class MetOutage:
-    """An outage of a direction, in the time of the task [ns]. `over`: it ended before the run."""
+    """An outage of a direction, in the time of the task [ns]. `over`: it ended within the run."""
 
     direction: str
     begin_ns: int
@@ -100,7 +100,7 @@ def link_met(
 def _outages(
     lane: LinkLane, sent_ns: np.ndarray, delay_ns: np.ndarray
 ) -> Iterator[tuple[int, int]]:
-    """Yield the outages that have ended, from their begin to their end [ns]."""
+    """Yield the outages that have ended, from their beginning to their end [ns]."""
     order = np.argsort(sent_ns, kind="stable")
     begin_ns = None
     for at_ns, state in lane.add(sent_ns[order], delay_ns[order]):

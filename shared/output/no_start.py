@@ -43,7 +43,7 @@ def why_not_begun(summary: Mapping[str, Any], config: RunConfig) -> str:
 
 
 def too_old(loop: LoopConfig, youngest_ms: float, *, carries: str = "") -> str:
-    """Return text for answers that were all older than `loop.hold_after`."""
+    """Return the text for answers that were all older than `loop.hold_after`."""
     expected = f"expected an answer of at most {1e3 * loop.hold_after:g} ms (loop.hold_after)"
     others = [name for name in CONTROLLERS.own if corrects(name)]
     return (
@@ -84,7 +84,7 @@ def _nothing_came(
 def _stuck(
     direction: str, what: str, way: Mapping[str, Any], sent: int | None, config: RunConfig
 ) -> str:
-    """Return text for a direction in which nothing arrives."""
+    """Return the text for a direction in which nothing arrives."""
     if full := _no_room(direction, way, config):
         return full
     lost = way.get("dropped_by_profile") or 0
@@ -101,7 +101,7 @@ def _stuck(
 
 
 def _no_room(direction: str, way: Mapping[str, Any], config: RunConfig) -> str:
-    """Return text for a queue that is smaller than a message; empty for any other."""
+    """Return the text for a queue that is smaller than a message; empty for any other."""
     size = (way.get("bytes_per_message") or {}).get("max") or 0.0
     if not way.get("dropped_by_profile") or size <= config.link.queue_bytes:
         return ""
@@ -112,7 +112,9 @@ def _no_room(direction: str, way: Mapping[str, Any], config: RunConfig) -> str:
 
 
 def carried_in_words(summary: Mapping[str, Any]) -> str:
-    """Return text for a link of too small a capacity, whose queue makes the answers old."""
+    """Return the text for a link whose capacity is too small, so that answers become old in its
+    queue.
+    """
     if not str(summary["network"]).startswith("capacity:"):
         return ""
     for name in ("uplink", "downlink"):

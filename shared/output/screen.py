@@ -1,4 +1,4 @@
-"""A screen that can show a window, a terminal that can rewrite a line, and a line of status."""
+"""Checks for a screen and for a terminal that rewrites lines, and a status line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def has_screen() -> bool:
 
 
 def rewrites_lines(stream: TextIO) -> bool:
-    """Return whether a line that was written can be written again in its place."""
+    """Return whether a stream can rewrite its last line in place."""
     return stream.isatty() and os.environ.get("TERM") != "dumb"
 
 

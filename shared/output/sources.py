@@ -18,7 +18,9 @@ _CACHED_BY_PR = "the torques of an older answer, as they came"
 
 
 def commands_in_words(commands: Mapping[str, int], controller: str) -> str:
-    """Return the sources of the commands, with the meaning of each; without those of no command."""
+    """Return the sources of the commands, with the meaning of each; sources without a command are
+    left out.
+    """
     parts = []
     for source in Source:
         count = commands.get(source.label, 0)

@@ -119,7 +119,7 @@ def summary_in_words(summary: dict[str, Any]) -> str:
 
 
 def _verdict(summary: Mapping[str, Any]) -> str:
-    """Return the first line on a run that has begun, also for a robot alone."""
+    """Return the first line of a summary, for a run that has begun."""
     ended = {True: "FELL", False: "Stands", None: "Killed"}[summary["fell"]]
     task = TASKS.label(summary["task"])
     controller = CONTROLLERS.label(summary["controller"])
@@ -153,7 +153,9 @@ def _link_in_words(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _missed(summary: Mapping[str, Any]) -> list[str]:
-    """Return the line on the profile's worst outage if the run has not met one as long."""
+    """Return the line on the profile's worst outage if it is longer than every outage that the run
+    met.
+    """
     worst = summary.get("profile_worst_outage")
     if worst is None or worst["ms"] * _AS_LONG <= max(
         summary["worst_outage"]["ms"], LEAST_NS * 1e-6

@@ -200,5 +200,5 @@ def _flush_output() -> None:
 
 
 def _give_up_output() -> None:
-    """Discard the rest of standard output's buffer."""
+    """Discard the text in standard output's buffer."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -120,7 +120,7 @@ def add_secure_argument(parser: argparse._ActionsContainer) -> None:
 
 @dataclass(frozen=True)
 class Identity:
-    """The names on the link of the robots that this process deals with, and its credentials.
+    """The names of the robots that this process deals with, and its credentials.
 
     Without credentials nothing is secured.
     """
@@ -236,7 +236,7 @@ class ServiceLog:
         return result
 
     def _write_report(self, result: dict[str, Any], rows: np.ndarray) -> np.ndarray:
-        """Write the report. If the disk is full, the last rows give way to it. Return the rows."""
+        """Write the report; on a full disk, remove the last rows to make room. Return the rows."""
         assert self._out is not None
         path, text = self._out / f"{self.name}.json", json.dumps(result, indent=2) + "\n"
         try:

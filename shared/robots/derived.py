@@ -5,8 +5,8 @@ d from the outer edge of a foot. A leg reaches r.
 
 * `wbc.weights.force` ω_f = 8 ρ (L / (m h))². A CoP that moves by δ costs ½ ω_f (m g / L)² δ²/8 in
   uneven forces of two soles. It costs ½ (g/h)² δ² in the acceleration of the CoM. ρ is the ratio.
-  If it nears 1, the robot leans rather than load its feet unevenly.
-* `push` for 0.2 s moves the capture point by m⁻¹ω⁻¹ F 0.2 s, to the part `_PUSHED` of d.
+  Near 1 the robot leans to load its feet evenly.
+* `push` for 0.2 s moves the DCM by m⁻¹ω⁻¹ F 0.2 s, to the part `_PUSHED` of d.
 * `walk.step_length` is the part `_STRIDE` of the legs' reach to both sides, 2 r.
 * `walk.step_duration` is `_STEP`/ω, because the DCM diverges by e^{ωT} in a step.
 * `wbc.gains.contact_damping` is a constant: half of the value at which Talos falls over 25 ms with

@@ -114,7 +114,7 @@ def _foot(feet: _Table, side: Foot) -> FootDescription:
 
 
 def _located(text: str, file: Path, packages: tuple[Path, ...], *, what: str) -> Any:
-    """The path that a text means, None for an empty one; `ConfigError` if there is no file."""
+    """The path for a text, None for an empty text; `ConfigError` if there is no file."""
     if not text:
         return None
     inside = text.removeprefix(_PACKAGE)

@@ -188,14 +188,14 @@ def _frame_id(robot: Robot, side: Foot) -> int:
 
 
 def _direction(axis: np.ndarray) -> str:
-    """The direction that a unit vector in the world comes nearest to."""
+    """The axis of the world nearest to a unit vector, in words."""
     k = int(np.argmax(np.abs(axis)))
     names = (("backward", "forward"), ("right", "left"), ("down", "up"))
     return names[k][int(axis[k] > 0.0)]
 
 
 def _suggested(robot: Robot, side: Foot) -> str:
-    """Roll, pitch and yaw with which a sole frame would have the axes of the world."""
+    """Roll, pitch and yaw that would align a sole frame with the axes of the world."""
     foot = next(each for each in robot.description.feet if each.side is side)
     written = pin.rpy.rpyToMatrix(*foot.rotation)
     in_world = placements(robot)[side].rotation

@@ -102,7 +102,7 @@ def _number(element: Xml.Element | None, name: str, missing: float = 0.0) -> flo
 
 
 def one_tree(urdf: Urdf) -> Iterator[str]:
-    """Yield the links that make a loop, have no place, or are a second root."""
+    """Yield the links that close a loop, that the URDF does not have, or that are a second root."""
     parents: dict[str, Joint] = {}
     for joint in urdf.joints:
         for link in (joint.parent, joint.child):

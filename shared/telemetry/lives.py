@@ -1,4 +1,5 @@
-"""The files of a service in the folder of a run: one set for each life of its process.
+"""The files of a service in the folder of a run: a set for each life, which is one process of the
+service from start to end.
 
 The rows of a process that runs, or that was killed, are in `STEM.rows`. A process that ends leaves
 `STEM.parquet`, its rows, and `STEM.json`, its report. Before the next process writes, these files
@@ -27,7 +28,7 @@ def lives(run: Path, stem: str) -> list[str]:
 
 
 def begin_life(run: Path, stem: str) -> None:
-    """Number the files of the life before, so that the next life does not replace them.
+    """Number the files of the previous life, so that the next life does not replace them.
 
     Raise `ConfigError` if a process still writes them.
     """

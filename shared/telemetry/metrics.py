@@ -67,8 +67,8 @@ def stance_slips(schema: Schema, rows: np.ndarray) -> np.ndarray:
 def switch_to_fresh_ms(schema: Schema, rows: np.ndarray) -> np.ndarray:
     """Return, for each contact switch, the time to the first command from the new mode [ms].
 
-    That is the first command whose answer is for a state measured in the new mode. Until then
-    commands come from a prepared projector, or from none. NaN if the mode ends before.
+    This command comes from an answer to a state measured in the new mode. Until then commands come
+    from a prepared projector, or from none. NaN if the mode ends before.
     """
     mode, tick = schema.column(rows, "mode"), schema.column(rows, "tick")
     sequence, time_ns = schema.column(rows, "projector_sequence"), schema.column(rows, "time_ns")

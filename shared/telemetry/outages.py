@@ -1,13 +1,13 @@
 """Outages of a direction of the link, from the messages that came through.
 
-Without a queue, a message would need the least delay seen so far. From then until it arrives, and
-after the arrival before it, no message comes out of the link:
+Without a queue, a message would arrive after the least delay seen so far. From this time, or from
+the previous arrival if that is later, until its arrival no message comes out of the link:
 
     outage = [max(arrival before, sent + least delay), arrival]    if longer than a limit
 
 A constant delay of any length is no outage, and neither is a sender's pause. If a sender is
 `steady`, a lost message should have come out too. Then `sent` is the time of the first message sent
-after the arrival before, lost or not. `LinkLane.silent` finds a link that was cut, by the lack of
+after the previous arrival, lost or not. `LinkLane.silent` finds a link that was cut, by the lack of
 messages.
 """
 
@@ -71,7 +71,8 @@ class LinkLane:
         return [(last, state)]
 
     def _owed(self, sent_ns: np.ndarray, delay_ns: np.ndarray) -> np.ndarray:
-        """Return when the first message after the arrival before was sent, lost or not [ns], (n,).
+        """Return when the first message after the previous arrival was sent, lost or not [ns],
+        (n,).
 
         Messages are in the order of sending. Only a lost message may come earlier: its loss is
         known while others are under way.

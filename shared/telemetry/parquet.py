@@ -53,7 +53,7 @@ def write_parquet(schema: Schema, rows: np.ndarray, path: Path) -> None:
 
 
 def read_parquet(path: Path, *, columns: Sequence[str] | None = None) -> tuple[Schema, np.ndarray]:
-    """Return schema and rows of a table of `write_parquet`, or of some of its columns."""
+    """Return the schema and the rows of a table of `write_parquet`, or of some of its columns."""
     import pyarrow.parquet as pq
 
     # In this thread: Arrow waits for ever for threads for which there is no memory.

@@ -13,18 +13,19 @@ from shared.wbc.contacts import ContactMode
 
 
 def no_rows() -> np.ndarray:
-    """Indices of no row, (0,)."""
+    """An empty array of row indices, (0,)."""
     return np.empty(0, dtype=int)
 
 
 @dataclass(frozen=True, slots=True)
 class Openness:
-    """The inequality rows of a projector that has decided on none of them.
+    """The open rows of a projector: the inequality rows, on which the robot decides.
 
-    `limits` (k,) are limits of the robot that are active or near, by their entry of b after the
-    layout's rows. With u (k + n_f,) of unit weight the solution is A† b + `push` u, `push` (n, k +
-    n_f). The limits are moved inwards by `factor` u[:k], `factor` (k, k) lower triangular, and the
-    forces by the rows of `push` that are theirs. `shared/wbc/assisted.py` finds u.
+    `limits` (k,) are the limits that are active or near, as indices of their entries of b after the
+    layout's rows. The solution is A† b + `push` u, with `push` (n, k + n_f) and u (k + n_f,) of
+    unit weight. The first k entries of u move the limited quantities inwards by `factor` u[:k],
+    with `factor` (k, k) lower triangular. The forces move by the rows of `push` that belong to
+    them. `shared/wbc/assisted.py` finds u.
     """
 
     limits: np.ndarray
@@ -52,7 +53,7 @@ class Projector:
 
     @property
     def size(self) -> int:
-        """The number of its numbers."""
+        """The number of entries in its arrays."""
         opened = self.open
         return self.A_dagger.size + (opened.push.size + opened.factor.size if opened else 0)
 

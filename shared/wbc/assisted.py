@@ -1,8 +1,8 @@
 """LA: the solution of a projector for the b of a tick.
 
-Without limits of the robot it is y = A† b, Eq. (4). With limits the projector has decided
-on no inequality row, because a stale decision does harm: a joint that has left its bound would be
-thrown back to it, and an unloading foot pulls. The robot then decides,
+Without limits of the robot it is y = A† b, Eq. (4). With limits the projector has decided on no
+inequality row, because a stale decision does harm. It would throw a joint back to a bound that the
+joint has left, and an unloading foot would pull. The robot then decides,
 
     y = A† b + push u,   min ½ ‖u‖²   s.t.   C f ≥ l,   and each limit within its bound.
 
@@ -66,7 +66,8 @@ def apply_projector(
 def _decide(
     stack: Stack, opened: Openness, misses: np.ndarray, lacks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The smallest u (k + n_f,) that makes up for misses (k,) and lacks, and the active rows of C.
+    """The smallest u (k + n_f,) that obeys limits with these misses (k,) and the friction rows, and
+    the active rows of C.
 
     None if the solver finds none.
     """

@@ -56,8 +56,8 @@ class BalanceLaw:
     ) -> np.ndarray:
         """The acceleration asked of the CoM in the plane, (2,) in the world [m/s²].
 
-        `wrenches` (6,) in the sole frames [N, N m] are those of the last command. In a step
-        the reference has a command already, which stays.
+        `wrenches` (6,) in the sole frames [N, N m] are those of the last command. In a step the
+        reference already has a command, which stays.
         """
         x, y, height = now.com.tolist()
         rate_x, rate_y, _ = now.com_velocity.tolist()
@@ -151,7 +151,7 @@ def _left_of(start: Point, end: Point, point: Point) -> float:
 
 
 def within(hull: list[Point], point: Point, *, beyond: float) -> Point:
-    """The point itself if it is at most `beyond` outside the hull, else moved straight to there."""
+    """The point if it is at most `beyond` outside the hull, else the nearest point that is."""
     edges = list(zip(hull, hull[1:] + hull[:1], strict=True))
     if all(_left_of(start, end, point) >= 0.0 for start, end in edges):
         return point

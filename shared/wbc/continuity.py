@@ -1,4 +1,4 @@
-"""Tells a motion from a jump: from one state to the next, positions move as velocities say."""
+"""Distinguish a motion from a jump: in a motion, positions change as the velocities say."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _BASE_JUMP = 0.05
 def continues(
     before: np.ndarray, q: np.ndarray, v: np.ndarray, *, seconds: float, jump: float
 ) -> np.ndarray:
-    """Return what of q (nq,) follows from the configuration `before` with v (nv,) after `seconds`.
+    """Return whether the base and each joint of q (nq,) follow from the configuration `before`.
 
-    Truth values (1 + n_joints,), of the base and of every joint, which may differ by `jump` [rad]
-    from where v takes it. A number that is none follows from nothing.
+    Truth values (1 + n_joints,). A joint may differ by `jump` [rad] from the position to which v
+    (nv,) takes it in `seconds`. A value that is NaN is false.
     """
     moved = q - before
     follows = np.empty(len(q) - 6, dtype=bool)

@@ -11,10 +11,10 @@ With H = blockdiag(AᵀA, ω_f I) and g = (Aᵀs, 0),
 
 The edge computes P, Q, T at the posture it knows. The robot, at its own state, takes the exact
 residuals at its previous solution and corrects it by these stale blocks. The friction rows C f ≥ l
-are constant, so it decides the active set itself. Level B keeps the stale trade-off between tasks.
-Level C takes the exact gradient too and has the fresh optimum as its fixed point. For the terms of
-multi-level real-time iterations see Bock, Diehl, Kostina & Schlöder 2007; Kirches, Wirsching, Bock
-& Schlöder 2012. `docs/locally-corrected.md` derives it.
+are constant, so it decides the active set itself. Level `b` keeps the stale trade-off between
+tasks. Level `c` takes the exact gradient too and has the fresh optimum as its fixed point. For the
+terms of multi-level real-time iterations see Bock, Diehl, Kostina & Schlöder 2007; Kirches,
+Wirsching, Bock & Schlöder 2012. `docs/locally-corrected.md` derives it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Iterate:
 
     @staticmethod
     def zero(stack: Stack) -> Iterate:
-        """Return the zero iterate. One step of level B from it is the stale optimum with a fresh
+        """Return the zero iterate. One step of level `b` from it is the stale optimum with a fresh
         active set.
         """
         return Iterate(
@@ -50,7 +50,9 @@ class Iterate:
         )
 
     def in_mode(self, stack: Stack, n_a: int) -> Iterate:
-        """The start in another contact mode: same accelerations, and forces of feet that stay."""
+        """The start in another contact mode: the same accelerations, and the forces of feet that
+        stay loaded.
+        """
         iterate = Iterate.zero(stack)
         iterate.y[:n_a] = self.y[:n_a]
         for k, foot in enumerate(stack.mode.feet):
@@ -61,7 +63,8 @@ class Iterate:
 
 
 class Corrector:
-    """Chord steps with one factorisation. Made when the factorisation arrives, used every tick.
+    """Chord steps with one factorisation. It is made when the factorisation arrives, and used in
+    every tick.
 
     Raises `numpy.linalg.LinAlgError` if the forces' block of P is not positive definite.
     `limit_rows` D (n_x, n) at the factorised posture, for a stack with limits. Not shared between
@@ -157,7 +160,7 @@ class Corrector:
         return Iterate(stack.mode, y, nu), stack.mode.active_set(active)
 
     def _project(self, f: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """The forces nearest to f that obey the friction rows, and which rows are active."""
+        """The forces nearest to f that obey the friction rows, and the active rows."""
         try:
             self._qp.update(f=-(self._F @ f))
             nearest, _, flag, info = self._qp.solve()
@@ -168,7 +171,7 @@ class Corrector:
     def _gradient(
         self, iterate: Iterate, residual: np.ndarray, model: WholeBodyModel, now: Kinematics
     ) -> np.ndarray:
-        """H y − Aᵀ s − Eᵀ ν at the present state, (n,); level B with adjoint has a stale Aᵀ."""
+        """H y − Aᵀ s − Eᵀ ν at the present state, (n,); level `b_adjoint` has a stale Aᵀ."""
         stack = self._stack
         n_a = stack.layout.n_accelerations
         nu = iterate.nu
@@ -222,7 +225,9 @@ class LimitedProjection:
         self._qp.setup(self._metric, np.zeros(len(W)), rows, self._upper, self._lower, sense)
 
     def holds(self, moved: np.ndarray, misses: np.ndarray) -> bool:
-        """Return whether the limits hold once y has `moved` from the iterate with these misses."""
+        """Return whether the limits hold after y has `moved` from the iterate that has these
+        misses.
+        """
         beyond = self._beyond_from_y.dot(moved)
         beyond += misses
         return bool(beyond.max() <= 0.0)

@@ -16,7 +16,8 @@ def factorise_kkt(
 ) -> Factorisation:
     """The blocks at one configuration. `numpy.linalg.LinAlgError` if the rows are dependent.
 
-    `damping` is added to the diagonal of AᵀA: a larger H than the true one, for level C.
+    `damping` is added to the diagonal of AᵀA, which makes H larger than the true one, for level
+    `c`.
     """
     n_a, n_f = stack.layout.n_accelerations, stack.layout.n_forces
     n_e = matrices.E_a.shape[0]

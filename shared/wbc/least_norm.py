@@ -39,7 +39,7 @@ class LeastNorm:
     D: np.ndarray
 
     def limit_rows(self, form: LeastNormForm, quantities: np.ndarray) -> np.ndarray:
-        """D y of some quantities (k,) as rows of (B, Z), (k, n_z + n_rows)."""
+        """Rows of (B, Z) for D y of some quantities (k,), (k, n_z + n_rows)."""
         D, n_a = self.D[quantities], len(self.T)
         rows = np.zeros((len(D), form.b.stop))
         np.matmul(D[:, :n_a], self.T, out=rows[:, form.rho_1])

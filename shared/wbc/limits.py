@@ -35,7 +35,7 @@ _MOST_NEAR, MOST_OPEN = 8, 40
 
 
 class Limits:
-    """The limits of one robot, n_x = 2 (nv − 6) rows of which those of a kind that is off are free.
+    """The limits of one robot: n_x = 2 (nv − 6) rows. Rows of a kind that is off have no bounds.
 
     `clamp` (nv − 6,) [N m] is the limit on a commanded torque. `torque_scale` (nv − 6,) is 1/τ̄.
     `slack` (n_x,) is 1/ω.
@@ -86,7 +86,7 @@ class Limits:
     def write_misses(self, rows: np.ndarray, kinematics: Kinematics) -> None:
         """Set `rows` (2 n_x,) to lower − x, then x − upper; positive is beyond a bound.
 
-        As in b, x is that of y = 0 or of the solution whose kinematics these are.
+        As in b, x belongs to y = 0, or to the solution at which `kinematics` was computed.
         """
         np.multiply(kinematics.force[6:], self.torque_scale, self._torques)
         if self._limits_joints:
@@ -106,9 +106,10 @@ class Limits:
         rows[:] = self._flat
 
     def _bound_rates(self, joints: np.ndarray, rates: np.ndarray) -> None:
-        """Tighten the bounds of accelerations, (2, n) from below and minus from above.
+        """Tighten the bounds of accelerations (2, n): the lower bounds, then the negated upper
+        bounds.
 
-        A bound of a velocity is moved to that of the position if it is beyond it.
+        A velocity's bound moves to the position's bound if it lies beyond it.
         """
         lowest, highest = joints[0].copy(), -joints[1]
         for bound, fastest in ((joints[0], -self._fastest), (joints[1], self._fastest)):
@@ -133,7 +134,8 @@ class Limits:
         return misses
 
     def near(self, misses: np.ndarray, active: np.ndarray) -> np.ndarray:
-        """The active limits and the nearest of the others, which a late robot may meet next.
+        """The active limits and the nearest others, which the robot may meet before the next
+        answer.
 
         `misses` (2 n_x,) are those of the optimum.
         """

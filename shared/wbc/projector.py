@@ -11,7 +11,7 @@ optimal. Otherwise a solver finds it, in f alone (n_f = 24 or 12). Exact: no ter
 
 An active limit of the robot is a row of the same kind. It may be missed at a price, which adds 1/ω
 to its diagonal entry of S. Only the limits that a solution would break enter the solver's QP. A
-robot with limits gets a projector that leaves all inequality rows open, for it to decide on.
+robot with limits gets a projector that leaves all inequality rows open. The robot decides on them.
 `docs/maths.md` derives it.
 """
 
@@ -190,7 +190,7 @@ def leave_open(
 
 
 def _y_from(stack: Stack, problem: LeastNorm, z: np.ndarray) -> np.ndarray:
-    """The rows of y from those of z, whose columns are of b first. Overwrites z."""
+    """The rows of y, computed from the rows of z, whose first columns belong to b. Overwrites z."""
     n_a, n, n_columns = stack.layout.n_accelerations, stack.layout.n_unknowns, z.shape[1]
     # s₁ + ρ₁: a 1 for each determining row.
     first = stack.equality_rows.stop
@@ -204,7 +204,9 @@ def _y_from(stack: Stack, problem: LeastNorm, z: np.ndarray) -> np.ndarray:
 def _with_limits(
     stack: Stack, problem: LeastNorm, rows: np.ndarray, limits: np.ndarray
 ) -> np.ndarray:
-    """The rows (B, Z) and those of active limits, ± D y = their entries of b, new last columns."""
+    """The rows (B, Z), followed by the rows of active limits, ± D y = entry of b, with a new column
+    for each entry.
+    """
     form, n_x, k = stack.least_norm_form, len(problem.D), len(limits)
     signs = np.where(limits < n_x, 1.0, -1.0)[:, np.newaxis]
     wider = np.zeros((len(rows) + k, rows.shape[1] + k))
@@ -215,7 +217,7 @@ def _with_limits(
 
 
 def is_optimal(stack: Stack, held: HeldRows, b: np.ndarray) -> bool:
-    """Return whether, by a clear margin, no free row is violated and no held one pulls."""
+    """Return whether no free row is violated and no held row pulls, by a clear margin."""
     contacts, k = stack.contacts, len(held.factor)
     y = held.apply(b)
     f = y[stack.layout.n_accelerations :]
@@ -232,7 +234,7 @@ def is_optimal(stack: Stack, held: HeldRows, b: np.ndarray) -> bool:
 
 
 def _misses(D: np.ndarray, y: np.ndarray, of_b: np.ndarray) -> np.ndarray:
-    """The distances of the limited quantities at y beyond their bounds, from those at y = 0."""
+    """The misses of the limited quantities at y, from the misses at y = 0."""
     if not len(of_b):
         return of_b
     x = D @ y
@@ -264,9 +266,9 @@ def solve(
 ) -> WholeBodySolution:
     """Find the optimal active set at one state and the projector of that set.
 
-    `likely_active` and `likely_limits`, as of the last state, save the solver if they prove to be
-    optimal. Limits enter the QP when its solution without them is beyond them. Never raises: a
-    problem that cannot be solved comes back with the name of what went wrong.
+    `likely_active` and `likely_limits` are sets to try first, for example those of the last state.
+    If they are optimal, no solver runs. A limit enters the QP only if the solution without it
+    violates it. Never raises: the status of an unsolved problem names the reason.
     """
     iterations = 0
     try:

@@ -59,7 +59,7 @@ class QpSolution:
 
 
 class QpSolver(Protocol):
-    """A back end. Never raises on a bad problem: the status names what went wrong."""
+    """A back end. Never raises on a bad problem: the status names the reason."""
 
     name: str
 
@@ -201,10 +201,10 @@ class ProxsuiteSolver:
 
 
 def independent_rows(problem: QuadraticProgram, candidates: np.ndarray) -> np.ndarray:
-    """Largest subset of the candidate rows of C independent of each other and of E, sorted.
+    """Largest subset of candidate rows of C that are independent of each other and of E, sorted.
 
-    The subset spans the same space, so it fixes the same solution. A degenerate corner, as a point
-    that carries no force, makes more rows tight than it has unknowns.
+    The subset spans the same space, so it fixes the same solution. In a degenerate corner, for
+    example at a point that carries no force, more rows are tight than there are unknowns.
     """
     if candidates.size == 0:
         return candidates

@@ -47,7 +47,7 @@ class Reference:
 class Motion(Protocol):
     """A reference for every task time, and the contact switches ahead.
 
-    `digest`: eight bytes that tell this motion from others, compared by the two ends of a link.
+    `digest`: eight bytes that identify this motion. The two ends of a link compare them.
     """
 
     digest: bytes

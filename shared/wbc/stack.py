@@ -1,4 +1,4 @@
-"""THE builder of the QP's rows, Eqs. (2), (5) and (6), used at both ends of the link.
+"""The builder of the QP's rows, Eqs. (2), (5) and (6). Both ends of the link use it.
 
 The robot asks it for `right_hand_side` (b: cheap, every millisecond); the edge also for `matrices`
 (A: Jacobians). The rows of b that carry feedback are named in one `RowLayout`:
@@ -7,8 +7,8 @@ The robot asks it for `right_hand_side` (b: cheap, every millisecond); the edge 
     angular_momentum 3 (with a weight) | swing_foot 6 (single support) | bounds 1
 
 Force regularisation targets zero and needs no row. The bounds of active inequality rows are
-constant, so `bounds` is a single entry, always 1: one column of a projector holds their effect.
-The entries of the robot's own limits follow the rows of the layout, see `limits`.
+constant, so `bounds` is a single entry, always 1: one column of a projector holds their effect. The
+entries of the robot's own limits follow the rows of the layout, see `limits`.
 """
 
 from __future__ import annotations

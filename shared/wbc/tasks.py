@@ -43,7 +43,9 @@ class Task(Protocol):
         ...
 
     def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
-        """Add Jᵀ `rows` (size,) to a product, as multipliers of the rows that J is made of."""
+        """Add Jᵀ `rows` (size,) to a product, as multipliers of the rows of the model that make up
+        J.
+        """
         ...
 
 
@@ -235,7 +237,7 @@ class SwingFootTask:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
-    """a × b of two vectors (3,); numpy's own takes as long as the whole rest of a target."""
+    """a × b of two vectors (3,), much faster than numpy's function on vectors of this size."""
     a_x, a_y, a_z = a.tolist()
     b_x, b_y, b_z = b.tolist()
     return a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x

@@ -17,7 +17,7 @@ def recover_force(
 ) -> Live:
     """Generalised force M a + h − J_cᵀ f, shape (nv,), from y = (a, f) at (q, v).
 
-    The first six entries, those of the base, are what y lacks to obey the dynamics [N, N m].
+    The first six entries, those of the base, are the residual of the dynamics at y [N, N m].
     """
     a, f = y[: model.nv], y[model.nv :]
     return model.inverse_dynamics(q, v, a, contacts.wrenches(f))

@@ -2,7 +2,7 @@
 
 With K = [H −Eᵀ; E 0] and X = [P Q; −Qᵀ T], K X = I holds for the blocks of one posture and for no
 others. The test is K (X x) = x for a few random x (Freivalds 1977): products of matrices with
-vectors, and no factorisation. The maker of X must not know x.
+vectors, and no factorisation. The process that makes X must not know x.
 """
 
 from __future__ import annotations

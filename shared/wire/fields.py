@@ -50,7 +50,7 @@ def mode_of(fields: dict[str, Any]) -> ContactMode:
 
 
 def held_sequences_of(fields: dict[str, Any]) -> tuple[int, ...] | None:
-    """Return the factorisations that a robot holds, by mode; None if it does not tell."""
+    """Return the factorisations that a robot holds, by mode; None if it lists none."""
     held_sequences = fields.get("holds")
     if held_sequences is None:
         return None

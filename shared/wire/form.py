@@ -1,4 +1,4 @@
-"""Messages that differ in some numbers only, as one `struct` each: msgpack all the same.
+"""Messages that differ only in some numbers, written as one `struct` each, and still valid msgpack.
 
 An integer in a slot takes nine bytes at any value. Between its slots every message of a form
 therefore has the same bytes at the same places. To write or read one is a single call. msgpack's
@@ -37,7 +37,7 @@ def binary(size: int) -> Slot:
 
 
 class Form:
-    """All messages that are `template` with values in its slots, in the order of their slots."""
+    """All messages that are `template` with values in its slots, in the order of the slots."""
 
     def __init__(self, template: dict[str, Any]) -> None:
         constants: list[bytes] = [b""]
@@ -70,7 +70,7 @@ class Form:
 
 
 def _parts(value: Any) -> Iterator[bytes | Slot]:
-    """The encoding of a template, with its slots in it."""
+    """The encoding of a template, with placeholders at its slots."""
     if isinstance(value, Slot):
         yield value
     elif isinstance(value, dict):

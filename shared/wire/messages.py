@@ -24,9 +24,9 @@ class StepReport:
 
     `phase` counts the phases of its contact clock, `phase_ns` is the time in the present one.
     `plan` is the number of the plan that it follows, −1 without one, `law` the identity of its step
-    law, 0 without one. `feet` are its soles: of a foot in the air, where it lifted. `swing` is the
-    reference of that foot. `disturbance` (2,) is the external force as a shift of the CoP [m].
-    Poses are in the plan's frame, in single precision.
+    law, 0 without one. `feet` are its soles; a swing foot has the place from which it lifted.
+    `swing` is the reference of the swing foot. `disturbance` (2,) is the external force as a shift
+    of the CoP [m]. Poses are in the plan's frame, in single precision.
     """
 
     phase: int

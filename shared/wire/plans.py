@@ -1,7 +1,7 @@
 """Plans and step laws to bytes and back, with the checks that need no robot.
 
-The robot's own checks follow in `robot_node/plan_cache.py`: of its phase, of its feet, of the
-boxes of its description.
+The robot's own checks follow in `robot_node/plan_cache.py`. They compare a plan with its phase, its
+feet and its description.
 """
 
 from __future__ import annotations
@@ -45,12 +45,14 @@ _LENGTHS = {"t": (1, 16), "u": (3, 65), "p": (3, 15), "2": (2, 2), "d": (3, 129)
 _ASCENDING = ("times", "footholds_x", "footholds_y", "cops_x", "cops_y", "offsets")
 # Numbers of a phase: duration [s], x, y, heading and z of the footprint, CoP, DCM.
 _PHASE_NUMBERS = 9
-# At the begin: x, y, heading and z of both soles, the CoM. Then the height of the foot in the air.
+# At the beginning: x, y, heading and z of both soles, the CoM. Then the swing height.
 _START_NUMBERS = 11
 
 
 def law_identity(law: StepLaw) -> int:
-    """Return a number from 1 to 2⁶³ − 1 that tells a law from others, to a part in a million."""
+    """Return a number from 1 to 2⁶³ − 1 that identifies a law, to a part in a million of its
+    numbers.
+    """
     digest = hashlib.sha256()
     for name in _ARRAYS:
         digest.update(np.round(getattr(law, name).astype(np.float64), 5).tobytes())

@@ -1,7 +1,7 @@
 """The robot's clock on the telemetry session: for processes that mark the time of the task.
 
-Simulated time may run slower than real time, or stand still. The robot publishes how, at every
-change and some times a second. The shim delays messages by the same clock.
+Simulated time may run slower than real time, or stand still. The robot publishes the state of its
+clock at every change and some times a second. The shim delays messages by the same clock.
 """
 
 from __future__ import annotations

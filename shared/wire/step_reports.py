@@ -16,7 +16,7 @@ from shared.wire.form import INTEGER, binary
 from shared.wire.messages import StepReport
 
 # The two soles (x, y, heading, z), then position, velocity, acceleration and heading with its first
-# and second derivative of the foot in the air, then the disturbance.
+# and second derivative of the swing foot, then the disturbance.
 _POSES = 8 + 12 + 2
 STEP_SLOTS = {
     "phase": INTEGER,

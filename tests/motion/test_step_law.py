@@ -18,7 +18,7 @@ def law(robot):
 
 
 def question(law, dcm, **others):
-    """A question at lift-off, with the other foot beside the one that bears."""
+    """A question at lift-off, with the swing foot beside the support foot."""
     swing = np.zeros((3, 2))
     swing[0] = 0.0, law.width
     asked = StepQuestion(
@@ -65,7 +65,7 @@ def test_from_rest_the_foot_comes_down_beside_the_other_one(law):
 
 @pytest.mark.parametrize("dcm", [(0.3, 0.3), (-0.3, 0.0), (0.0, -0.2), (0.5, 0.5), (2.0, -2.0)])
 def test_no_foothold_is_out_of_reach(law, dcm):
-    """Nor does the foot in the air need more than its greatest acceleration, 30 m/s²."""
+    """Nor does the swing foot need more than its greatest acceleration, 30 m/s²."""
     asked = question(law, dcm)
     answer = ask(law, asked)
     assert law.footholds_x[0] <= answer.foothold[0] <= law.footholds_x[-1]
@@ -100,7 +100,7 @@ def test_no_foot_lands_in_a_forbidden_box(law):
 
 
 def test_the_tables_are_those_of_both_feet(robot):
-    """The law is in the frame of either bearing foot, so a mirrored robot has the same tables."""
+    """The law is in the frame of either support foot, so a mirrored robot has the same tables."""
     left, right = robot.soles
     flipped = [
         dataclasses.replace(sole, side=side, y=(-sole.y[1], -sole.y[0]))

@@ -1,4 +1,4 @@
-"""A foot in the air whose goal changes: no jump, and down at the end."""
+"""A swing foot whose goal changes: no jump, and down at the end."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def test_position_is_continuous_and_velocity_its_derivative(walking, config):
     references = [reference for _, reference in sampled(walking, config, period_ms=1)]
     com = np.array([(each.com, each.com_velocity) for each in references])
     swings = [each.swing for each in references]
-    # Without a foot in the air: NaN, and so is a difference to it.
+    # Without a swing foot: NaN, and so is a difference to it.
     swung = np.array(
         [
             np.full((2, 3), np.nan) if each is None else (each.position, each.velocity)

@@ -123,7 +123,7 @@ def test_a_foot_that_lands_late_goes_on_down(bench, plan):
 
 @pytest.mark.parametrize(("aside", "first"), [(0.01, LEFT), (0.05, DOUBLE)])
 def test_a_step_waits_for_a_dcm_that_is_far_from_its_place(bench, plan, aside, first):
-    """As after a foot that has landed early; towards the foot that bears next, and not for ever."""
+    """As after a foot that has landed early; towards the next support foot, and not for ever."""
     shift = dataclasses.replace(plan.phases[0], dcm=(0.03, aside))
     bench.clock.take(dataclasses.replace(plan, phases=(shift, *plan.phases[1:])))
     bench.force[Foot.RIGHT] = 0.0

@@ -1,6 +1,6 @@
-"""The state of a run for the page, from telemetry blocks: always whole, never a difference.
+"""The state of a run for the page, from telemetry blocks. It is always the whole state.
 
-A browser that is slow, or that comes late, needs only the newest state. The state has poses of the
+A browser that is slow or late therefore needs only the newest state. The state has poses of the
 last block of ticks, which the page plays one after the other, and the last seconds of the link.
 """
 
@@ -48,7 +48,7 @@ class Feed:
         self._state: dict[str, Any] = {"verdict": self._verdict.text}
 
     def take_events(self, messages: Sequence[bytes]) -> bool:
-        """Take in events of an operator, each once or again. Return whether there were any."""
+        """Take in an operator's events; an event may come twice. Return whether any came."""
         for message in messages:
             try:
                 event, _ = decode_event(message)

@@ -1,8 +1,8 @@
 """Serve the page, its newest state and its commands, to browsers on this machine alone.
 
 The address has a random token; a request without it gets nothing. Every browser holds a connection
-on which it gets states and sends commands. It gets the next state when it has taken the last one,
-and then the newest. So a slow browser misses states in between, and never shows an old one.
+on which it gets states and sends commands. When it has taken one state, it gets the newest. So a
+slow browser skips states, and never shows an old one.
 """
 
 from __future__ import annotations

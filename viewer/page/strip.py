@@ -29,7 +29,7 @@ class Strip:
         # The robot sends all the time; the edge may have nothing to send.
         self._lanes = (LinkLane(steady=True), LinkLane())
         self._delays_ms: list[float | None] = [None, None]
-        # The begin and the end of each outage [ns]; the end of one that lasts is None.
+        # The beginning and the end of each outage [ns]; the end of one that lasts is None.
         self._outages: tuple[deque[list[int | None]], ...] = tuple(
             deque(maxlen=_MAX_OUTAGES) for _ in _DIRECTIONS
         )
@@ -66,7 +66,7 @@ class Strip:
         """Return the strip for the page, with times in seconds before the robot's newest row.
 
         `ages` are pairs of a time and an age [ms]. `outages` has for each direction pairs of a
-        begin and an end; the end of an outage that lasts is 0. `delays_ms` are those of the last
+        beginning and an end; the end of a lasting outage is 0. `delays_ms` are those of the last
         messages, None if there is none or it is lost.
         """
         now_ns = self._now_ns
@@ -100,6 +100,6 @@ class Strip:
 
 
 def _before(at_ns: int | None, now_ns: int) -> float:
-    """Return a time before now [s], negative, at least that of the strip's begin; None is now."""
+    """Return a time before now [s], negative, not before the strip begins; None is now."""
     since_ns = 0 if at_ns is None else at_ns - now_ns
     return round(max(since_ns, -SPAN_NS) * 1e-9, 2)

@@ -57,7 +57,9 @@ def decode_answer(data: bytes) -> Accepted | str:
 
 
 def encode_event(event: CommandEvent, *, wall_ns: int) -> bytes:
-    """Return the message of an event, for the telemetry session. `wall_ns` is as in the rows."""
+    """Return the message of an event, for the telemetry session. `wall_ns` is as in the telemetry
+    rows.
+    """
     return bytes(msgpack.packb([event.time_ns, str(event.command), wall_ns]))
 
 
