@@ -113,7 +113,7 @@ def _side(folder: Path) -> Iterator[_Side]:
 def _checked_out(commit: str) -> Iterator[tuple[str, Path]]:
     """A commit's identity, and a temporary folder with it."""
     if CHECKOUT is None:
-        raise UserError("--against: expected the project's repository, this is a package of it")
+        raise UserError("--against: expected a checkout of the project, got an installed package")
     identity = _git("rev-parse", "--short", "--verify", "--end-of-options", f"{commit}^{{commit}}")
     with tempfile.TemporaryDirectory(prefix="benchmark-") as name:
         folder = Path(name).resolve() / "other"

@@ -110,7 +110,7 @@ def make(
         roles = [role for role in roles if role not in there]
         if not roles:
             raise ConfigError(
-                f"keys: expected a role without certificates, {folder} has those of "
+                f"keys: expected a role without certificates, got {folder} with those of "
                 f"{', '.join(there)}; remove a role's files to make them again, or name another "
                 "--robot"
             )
@@ -121,8 +121,8 @@ def make(
         ]
         if taken:
             raise ConfigError(
-                f"keys: expected a folder without certificates, {folder} has {taken[0].name}; name "
-                "another folder, or use --add to make the missing certificates with its authority"
+                f"keys: expected a folder without certificates, got {folder} with {taken[0].name}; "
+                "name another folder, or use --add to make the missing certificates with its authority"
             )
         authority = _new_authority(now)
     made = {} if add else {AUTHORITY: authority}

@@ -206,7 +206,7 @@ def _stack_for(command: Command, *, run: Path | None, robot: str | None) -> Stac
     if not having:
         raise ConfigError(
             f"{command}: expected a stack with {service}, "
-            f"{found[0][0].run} has {', '.join(found[0][1].named)}; {start}"
+            f"got {found[0][0].run} with {', '.join(found[0][1].named)}; {start}"
         )
     if len(having) > 1:
         runs = ", ".join(str(stack.run) for stack, _ in having)

@@ -141,7 +141,7 @@ def record(run: Path, say: Callable[[str], None]) -> None:
                     making.communicate()
                     (run / "recording.rrd.partial").unlink(missing_ok=True)
                     output = (
-                        "no recording: expected it to be written, the process does nothing; "
+                        "no recording: expected rerun to write one, got no progress; "
                         f"{wbc(f'viewer record {run}')} tries again"
                     )
                     break

@@ -257,7 +257,9 @@ class Supervisor:
             try:
                 if waiting not in (await asyncio.wait({waiting}, timeout=seconds))[0]:
                     child.failures = 0
-                    self._say(child.name, f"has run for {seconds:g} s: its failures are forgotten")
+                    self._say(
+                        child.name, f"has run for {seconds:g} s: earlier failures no longer count"
+                    )
                     self._changed()
             finally:
                 if degraded:

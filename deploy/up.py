@@ -208,7 +208,9 @@ def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) 
     with writing(out, what="out"):
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
-            raise ConfigError(f"out: expected a new or empty folder, {out} has files in it")
+            raise ConfigError(
+                f"out: expected a new or empty folder, got {out} with files; try another"
+            )
         text = dump_config(config, versions=versions())
         (out / "config.toml").write_text(text, encoding="utf-8")
     return out

@@ -158,7 +158,7 @@ def window_starts(
         starts[name] = (each.start - push_at) % length
     if not starts:
         raise ConfigError(
-            "--quick: expected a link with outages, this one has none; leave --quick out"
+            "--quick: expected a link with outages, got one without; leave --quick out"
         )
     return starts
 
@@ -170,7 +170,7 @@ def study_of(
     if not 2.0 <= window <= 3600.0:
         raise ConfigError(f"--window: expected 2 to 3600 s, got {window:g}")
     if parse_push(push).start_ns * 1e-9 >= window:
-        raise ConfigError(f"--push: expected it within the window of {window:g} s, got {push}")
+        raise ConfigError(f"--push: expected a push within the window of {window:g} s, got {push}")
     name = network.rpartition("/")[2].rpartition(".")[0] or network
     return make_study(
         {

@@ -44,7 +44,9 @@ def make(kind: str, name: str, folder: Path) -> None:
             f"new: expected a name of a-z, 0-9 and _ that begins with a letter, got {name!r}"
         )
     if folder.exists():
-        raise ConfigError(f"new: expected a new folder, {folder} exists; try another name")
+        raise ConfigError(
+            f"new: expected a name without a folder, got {folder}, which exists; try another"
+        )
     names = {_NAME: name, _CLASS: "".join(part.capitalize() for part in name.split("_"))}
     template = _TEMPLATES / kind
     with writing(folder, what="new"):

@@ -144,7 +144,7 @@ def _problem(config: RunConfig, result: TrialResult, play: Play) -> list[str]:
     """Return the faults of a trial."""
     if result.summary["fell"]:
         why = fall_in_words(result.summary["fall"], controller=config.controller)
-        return [f"expected a robot that stands, it fell: {why}; {play.remedy}"]
+        return [f"expected a robot that stands, got a fall: {why}; {play.remedy}"]
     if not config.push and config.task == "balance" and _largest_error(result) > _STILL:
         return [
             f"expected a CoM error of at most {100 * _STILL:g} cm, got "

@@ -93,7 +93,10 @@ def _config_and_events(
         )
     settings = given / "config.toml"
     if not settings.is_file():
-        raise ConfigError(f"events: expected the folder of a run, {given} has no config.toml")
+        raise ConfigError(
+            f"events: expected the folder of a run, got {given} without a config.toml; try a folder "
+            "that ./deploy/up or trial --out wrote"
+        )
     arguments.config = settings
     config = config_from(arguments)
     played = _task_seconds(given)
@@ -118,10 +121,12 @@ def _check_free(out: Path | None, json_file: Path | None, *, force: bool) -> Non
         return
     if out is not None and out.is_dir() and any(out.iterdir()):
         raise ConfigError(
-            f"out: expected a new or empty folder, {out} has files in it; try another, or --force"
+            f"out: expected a new or empty folder, got {out} with files; try another, or --force"
         )
     if json_file is not None and json_file.is_file():
-        raise ConfigError(f"json: expected a new file, {json_file} exists; try another, or --force")
+        raise ConfigError(
+            f"json: expected a new file, got {json_file}, which exists; try another, or --force"
+        )
 
 
 def write_run(out: Path, config: RunConfig, result: TrialResult) -> None:

@@ -34,7 +34,7 @@ class Names:
     """A table of the names that a setting may have.
 
     `what` names the setting, and `own` maps the project's names to references. Other packages add
-    names by the entry points of the group `group`. `page` is the page on values of one's own, and
+    names by the entry points of the group `group`. `page` is the page about a user's values, and
     `forms` names the forms of a reference.
     """
 

@@ -90,8 +90,8 @@ def _private_folder(folder: Path, *, what: str) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if folder.stat().st_uid != os.geteuid():
             raise ConfigError(
-                f"{what}: expected a folder of this user, {folder} belongs to another one; remove "
-                "it, or use a copy of the project of your own"
+                f"{what}: expected a folder of this user, got {folder} of another user; remove it, "
+                "or use a copy of the project of your own"
             )
         folder.chmod(0o700)
 

@@ -91,7 +91,7 @@ def _put_away(out: Path, config: RunConfig) -> None:
         return
     with writing(out, what="out"):
         if not (out / SUMMARY).exists() and any(lives(out, stem) for stem in STEMS):
-            print("the run before was killed:", flush=True)
+            print("the previous run was killed:", flush=True)
             _sum_up(out, config)
         set_aside(out)
 

@@ -237,7 +237,7 @@ def test_the_state_of_another_user_is_refused(tmp_path, monkeypatch):
     replace_members(monkeypatch, state, "os", geteuid=lambda: os.getuid() + 1)
     with pytest.raises(ConfigError, match="expected a run of this user"):
         control.run_down(asked(run=stack.run))
-    with pytest.raises(ConfigError, match="belongs to another"):
+    with pytest.raises(ConfigError, match="of another user"):
         stack.claim()
 
 

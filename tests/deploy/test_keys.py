@@ -88,14 +88,14 @@ def test_private_keys_are_for_their_owner_only(tmp_path: Path, mask: int):
 
 def test_nothing_is_overwritten(folder: Path):
     before = {file: file.read_bytes() for file in folder.iterdir()}
-    with pytest.raises(ConfigError, match=r"has ca\.crt; name another folder, or use --add"):
+    with pytest.raises(ConfigError, match=r"with ca\.crt; name another folder, or use --add"):
         make(folder, robots=["ben"])
     assert {file: file.read_bytes() for file in folder.iterdir()} == before
 
 
 def test_a_single_file_in_the_way_stops_everything(tmp_path: Path):
     (tmp_path / "edge.key").write_text("precious")
-    with pytest.raises(ConfigError, match=r"has edge\.key"):
+    with pytest.raises(ConfigError, match=r"with edge\.key"):
         make(tmp_path, robots=["romeo"])
     assert [file.name for file in tmp_path.iterdir()] == ["edge.key"]
 

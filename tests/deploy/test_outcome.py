@@ -170,7 +170,7 @@ def test_a_recording_that_is_not_written_is_given_up_and_one_that_works_is_waite
         command = [sys.executable, "-c", text]
         monkeypatch.setattr(outcome, "python", lambda *words, command=command: command)
         record(tmp_path, said.append)
-    assert said[0].startswith("no recording: expected it to be written, the process does nothing;")
+    assert said[0].startswith("no recording: expected rerun to write one, got no progress;")
     assert f"viewer record {tmp_path}" in said[0]
     assert said[1:] == ["whole"]
 

@@ -236,7 +236,7 @@ def test_a_service_that_runs_for_its_window_is_no_longer_degraded(tmp_path: Path
     async def scenario(run: Run):
         code = FAILS_ONCE.format(tmp_path / "first")
         await run.start("edge", code, restart="on-failure:1/1s")
-        await run.wait_for("edge: has run for 1 s: its failures are forgotten")
+        await run.wait_for("edge: has run for 1 s: earlier failures no longer count")
         edge = run.supervisor.states()[0]
         assert (edge.state, edge.restarts, edge.degraded) == (READY, 1, False)
 

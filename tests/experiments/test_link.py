@@ -111,7 +111,7 @@ def test_the_verdict_says_where_on_the_link_each_controller_falls_and_why() -> N
     ("changes", "message"),
     [
         ({"window": 1.0}, "--window: expected 2 to 3600 s, got 1"),
-        ({"push": "100N@6.0s:0.2s:+y"}, "--push: expected it within the window of 5 s"),
+        ({"push": "100N@6.0s:0.2s:+y"}, "--push: expected a push within the window of 5 s"),
         ({"controllers": ["pid"]}, "la.*lc.*pr.*'pid'"),
     ],
 )

@@ -54,6 +54,6 @@ def test_a_name_that_no_package_can_have_is_refused(tmp_path, name):
 
 
 def test_an_existing_folder_is_left_alone(tmp_path):
-    with pytest.raises(ConfigError, match="exists; try another name"):
+    with pytest.raises(ConfigError, match="exists; try another"):
         make("task", "mine", tmp_path)
     assert not list(tmp_path.iterdir())

@@ -33,7 +33,7 @@ def test_a_robot_that_falls_is_told_what_to_change(tmp_path, capsys, monkeypatch
     hard = robot_check.Play("takes a hard push", {"push": ["2000N@0.1s:0.2s:+y"]}, "push less")
     monkeypatch.setattr(robot_check, "PLAYS", [hard])
     assert check(write_biped(tmp_path)) == 3
-    assert "expected a robot that stands, it fell: " in (said := capsys.readouterr().out)
+    assert "expected a robot that stands, got a fall: " in (said := capsys.readouterr().out)
     assert "; push less" in said
 
 
