@@ -79,7 +79,7 @@ def run(commit: str, *, rounds: int, seconds: float) -> str:
         ours, others = _alternating(
             sides, lambda side: side.play(task, controller, seconds=None), WHOLE_ROUNDS
         )
-        # The more the faster: the other way round.
+        # A larger number is faster, so the ratio is inverted.
         name = f"{task} {controller.upper()}, whole trials a minute"
         lines.append([*_line(name, others["trial"], ours["trial"])[:-1], ""])
         ours, others = _alternating(

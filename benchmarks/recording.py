@@ -22,7 +22,7 @@ from shared.telemetry.parquet import read_parquet
 
 NETWORKS = ("constant:20ms", "factory/011")
 _GENERATIONS = 2
-# What a user may expect of a recording [ms].
+# The expected accuracy of a recording [ms].
 _BOUND_MS = 0.5
 
 

@@ -22,7 +22,7 @@ from shared.errors import ConfigError
 from shared.wire.operator.commands import Drive
 
 GAMEPAD = Path("/dev/input/js0")
-# What a held key drives, [m/s, m/s, rad/s]: within what a step can do.
+# The velocities of held keys [m/s, m/s, rad/s], which steps can follow.
 KEYS = {
     "w": Drive(0.15, 0.0, 0.0),
     "s": Drive(-0.1, 0.0, 0.0),
@@ -35,7 +35,7 @@ _STOP = Drive(0.0, 0.0, 0.0)
 _HELP = "w s forward, back · a d left, right · q e turn · any other key stops · Ctrl-C ends"
 # Longer than the pause before a held key repeats.
 _LET_GO_SECONDS = 0.7
-# Between two commands while nothing changes, and between two looks.
+# The time between two commands while nothing changes, and between two looks at the input.
 _AGAIN_SECONDS, _LOOK_SECONDS = 0.3, 0.05
 # An event of a joystick: time [ms], value, type, number.
 _EVENT = struct.Struct("IhBB")

@@ -122,7 +122,7 @@ def make(
         if taken:
             raise ConfigError(
                 f"keys: expected a folder without certificates, got {folder} with {taken[0].name}; "
-                "name another folder, or use --add to make the missing certificates with its authority"
+                "name another folder, or use --add to make the missing ones with its authority"
             )
         authority = _new_authority(now)
     made = {} if add else {AUTHORITY: authority}

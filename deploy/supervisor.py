@@ -28,7 +28,7 @@ from shared.commands import wbc
 from shared.errors import ConfigError, LinkError, one_of
 
 _CANCEL_SECONDS = 0.1
-# A stop that takes longer says what it waits for.
+# A stop that takes longer prints the services that it waits for.
 _TELL_SECONDS = 3.0
 
 
@@ -166,7 +166,8 @@ class Supervisor:
         while watches:
             for watch in watches:
                 watch.cancel()
-            # Again until it is heard: a wait that ends at this moment may lose the request.
+            # Repeated until it takes effect, because a wait that ends at this moment may lose the
+            # request.
             _, watches = await asyncio.wait(watches, timeout=_CANCEL_SECONDS)
         # The number of a process that has ended may belong to another process by now.
         children = [child for child in children if child.state != ENDED]

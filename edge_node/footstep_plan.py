@@ -15,7 +15,7 @@ from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
 
-# A plan is of use for so long after its state [ns].
+# A plan is valid for this time after its state [ns].
 _VALID_NS = 1_000_000_000
 # A robot on both feet for longer than between two steps stands [s].
 _STANDS = 0.2
@@ -125,7 +125,7 @@ class FootstepBuilder:
             growth = math.exp(omega * left)
             dcm = com[0] + com[1] / omega
             shift = (dcm - ends[0]) / (growth - 1.0)
-            # With little time left no real CoP would do, and the step law does the rest.
+            # With little time left no real CoP suffices, and the step law corrects the step.
             shift *= min(1.0, _FARTHEST_COP / max(1e-9, math.hypot(*shift.tolist())))
             spans[0] = (mode, duration, goal_, dcm + shift)
         phases, begin_ns = [], 0
@@ -194,7 +194,8 @@ def footsteps(
             for foot, each in feet.items()
         }
         swing = min(behind, key=lambda foot: behind[foot])
-    # On unknown ground the lower one: to land early is safe, to land late is not.
+    # On unknown ground the goal has the height of the lower foot, because an early landing is safe
+    # and a late one is not.
     lowest = min(each.z for each in feet.values())
     made = []
     for k in range(steps):

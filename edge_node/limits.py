@@ -15,7 +15,7 @@ from shared.robots import Robot
 _MARGIN = 0.5 * np.pi
 # Speeds [rad/s, m/s]. A falling robot has less than a tenth.
 _FASTEST_JOINT, _FASTEST_TURN, _FASTEST_BASE = 100.0, 50.0, 20.0
-# Of the height of the base when standing, up or down from there.
+# The largest change of the base's height, as a part of its height in standing.
 _HEIGHTS = 1.5
 _UNIT = 1e-3
 
@@ -26,7 +26,8 @@ class StateLimits:
     def __init__(self, robot: Robot) -> None:
         model = robot.model
         self._names = model.names[2:]
-        # Bounds of (q, v). No speed of the base is too fast whose parts are within these.
+        # Bounds of (q, v). If all components of the base's velocity are within these, its speed
+        # needs no further check.
         low, high = np.full(model.nq + model.nv, -np.inf), np.full(model.nq + model.nv, np.inf)
         height = float(robot.q_standing[2])
         low[2], high[2] = (1.0 - _HEIGHTS) * height, (1.0 + _HEIGHTS) * height

@@ -38,9 +38,10 @@ from shared.wire.messages import (
 from shared.wire.operator.commands import EdgeCommand
 from shared.wire.plans import PlanCodec
 
-# Of the refresh distance, and at most so far [rad]: further ahead velocities tell little.
+# The prediction of the posture, as a part of the refresh distance, and its maximum [rad].
+# Velocities do not predict further.
 _LEAD, _MAX_LEAD = 0.7, 0.05
-# Of a message of two projectors, what is not their numbers.
+# The bytes of a message of two projectors without their numbers.
 _MESSAGE_BYTES = 2_500
 _STATUS_INDEX = {status: index for index, status in enumerate(QpStatus)}
 
@@ -158,7 +159,7 @@ class EdgeNode:
         self.solved[solution.status.value] += 1
         if solution.status is not QpStatus.SOLVED or solution.projector is None:
             return Answer(robot, state.sequence, solution, None)
-        # Rounded first, so that the torque sent is the one that the projector sent gives.
+        # Rounded first, so that the sent torque is the result of the sent projector.
         projector = self._codec.rounded(solution.projector)
         assisted = apply_projector(
             controller.stacks[state.mode],
@@ -232,7 +233,7 @@ class EdgeNode:
         ]
         fitting = []
         for timed in prepared:
-            # Of a robot with limits, three may be too long.
+            # Three projectors of a robot with limits may be too long.
             if timed is not None and 4 * timed.projector.size <= room:
                 room -= 4 * timed.projector.size
                 fitting.append(timed)

@@ -31,16 +31,16 @@ from shared.wire.operator.commands import DRIVE_NS, EdgeCommand, Go
 
 # Steps of one plan at most, before it comes to a stand.
 _MAX_STEPS = 8
-# After the last step, the time before the feet come together [ns], and the distance of feet that
-# are [m].
+# The time from the last step until the feet come together [ns], and the distance within which they
+# are together [m].
 _BEFORE_TOGETHER_NS, _TOGETHER = 1_000_000_000, 0.06
 # Steps of a plan towards a velocity, before its stand.
 _VELOCITY_STEPS = 4
 # The most that a step advances: forward and sideways [m], turning [rad].
 _MOST = (0.15, 0.06, math.radians(15.0))
-# A robot as near to its goal is there [m, rad].
+# A robot this near to its goal has arrived [m, rad].
 _AT_GOAL, _TURNED_TO_GOAL = 0.03, math.radians(4.0)
-# Feet as near to the footprints of a way are on it [m].
+# Feet this near to the footprints of a way are on it [m].
 _ON_WAY = 0.04
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-# No velocity is a prediction for longer than this [s].
+# A velocity predicts a position for at most this time [s].
 _LEAD_SECONDS = 0.05
 # A joint this far from its prediction [rad] is a fault of its sensor, unless it stays there.
 _JUMP = 0.5
@@ -45,7 +45,7 @@ class PostureEstimate:
                 self.now = carried + gain * moved
             else:
                 self._begin(measured)
-        else:  # also the first one, after a gap, or of a robot that has started anew
+        else:  # also for the first state, after a gap, and after a new start of the robot
             self._begin(measured)
         self._v, self._stamp_ns = v[6:], stamp_ns
 

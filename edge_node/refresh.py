@@ -17,7 +17,7 @@ from shared.wbc.contacts import ContactMode
 from shared.wbc.reference import Motion
 from shared.wire.messages import RobotState
 
-# Doublings of the wait at most.
+# The maximum number of doublings of the wait.
 _MAX_DOUBLINGS = 4
 
 

@@ -24,7 +24,7 @@ from shared.wbc.reference import Motion
 from shared.wbc.whole_body import ActiveSet
 from shared.wire.messages import RobotState
 
-# More than one-way delays vary by; that of the first states is not known yet.
+# More than the variation of one-way delays. The delay of the first states is still unknown.
 _AHEAD_NS, _SETTLING_NS = 1_000_000_000, 100_000_000
 # A session that has had nothing but refused states for this long begins anew.
 _STUCK_NS = 100_000_000
@@ -32,7 +32,8 @@ _STUCK_NS = 100_000_000
 # robots; a robot that has started anew does not send in its old session.
 _SHARED_NS, _STARTING_NS = 200_000_000, 500_000_000
 _MAX_SESSIONS = 8
-# From one state to the next, of those that leave the limits: time [ns], and jump of a joint [rad].
+# The largest time [ns] and the largest jump of a joint [rad] between successive states beyond the
+# limits.
 _CONTINUES_NS, _JUMP = 5_000_000, 0.5
 # Only a session that has been silent for this long may be forgotten for another.
 _SILENT_NS = 20_000_000
@@ -54,11 +55,11 @@ class RobotSession:
         self.last_active: dict[ContactMode, ActiveSet] = {}
         self.began_ns = self.heard_ns = now_ns
         self.n_states = 0
-        # The number of the turn in which it was served last.
+        # The number of the turn in which the session was served last.
         self.served = -1
         self._period_ns = config.loop.period_ns
         self._last: RobotState | None = None
-        # How far the robot's clock and its ticks have been ahead of the edge's clock, at most.
+        # The largest lead of the robot's clock and ticks over the edge's clock.
         self._clock_ns = self._ticks_ns = -(2**63)
         self._refused_since_ns: int | None = None
 

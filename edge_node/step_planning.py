@@ -20,7 +20,7 @@ from shared.wire.messages import RobotState
 from shared.wire.operator.commands import EdgeCommand
 from shared.wire.plans import MAX_NO_GO, as_sent, law_identity
 
-# Between two plans at least, as the key of plans has 50 Hz.
+# The least time between two plans, because the key of plans has 50 Hz.
 _INTERVAL_NS = 20_000_000
 # A higher step of the ground is an edge [m].
 _EDGE = 0.01
@@ -37,7 +37,7 @@ class StepPlanning:
         self.law_identity = law_identity(self.law)
         self.planner: Planner = make_planner(robot, config, self.law)
         self._path = PathPlanner(robot, config)
-        # Commands so far that ask for another plan.
+        # The number of commands so far that change the plan.
         self.steered = 0
         # The planner on the edge alone decides without a law on the robot.
         self.sends_law = config.stepping.mode == "on"

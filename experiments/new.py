@@ -12,8 +12,8 @@ from shared.process.cli import EXIT_STANDING
 
 _TEMPLATES = Path(__file__).with_name("templates")
 KINDS = ("controller", "task", "robot")
-# What stands for the name in the files of a template and in their names, in lower case and as that
-# of a class.
+# The placeholders of the name in the files of a template and in their names: in lower case, and as
+# a class name.
 _NAME, _CLASS = "NAME", "CLASS"
 _ALLOWED = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -53,7 +53,7 @@ def make(kind: str, name: str, folder: Path) -> None:
         for source in sorted(path for path in template.rglob("*") if path.is_file()):
             made = folder / _filled(source.relative_to(template).as_posix(), names)
             made.parent.mkdir(parents=True, exist_ok=True)
-            # Templates of Python are no code of this project.
+            # The Python files of a template are no code of this project.
             made = made.with_name(made.name.removesuffix(".txt"))
             made.write_text(_filled(source.read_text(encoding="utf-8"), names), encoding="utf-8")
             shutil.copymode(source, made)

@@ -94,8 +94,8 @@ def _config_and_events(
     settings = given / "config.toml"
     if not settings.is_file():
         raise ConfigError(
-            f"events: expected the folder of a run, got {given} without a config.toml; try a folder "
-            "that ./deploy/up or trial --out wrote"
+            f"events: expected the folder of a run, got {given} without a config.toml; try a "
+            "folder that ./deploy/up or trial --out wrote"
         )
     arguments.config = settings
     config = config_from(arguments)

@@ -39,7 +39,7 @@ _LAST = 0.01
 # The minimum fraction of periods with a message. Some messages are sent a moment late.
 _ENOUGH = 0.9
 _DELIVERED = ("delivered_ul_bytes", "delivered_dl_bytes")
-# How ns-3 profiles call the size of a message.
+# The names of a message's size in ns-3 profiles.
 _SIZES = (("uplink_bytes", "ulB"), ("downlink_bytes", "dlB"))
 
 

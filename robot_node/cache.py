@@ -157,7 +157,8 @@ class ProjectorCache(AnswerCache):
                 break
         place = 0
         for held in entries:
-            # Of two projectors from the same state the edge's wins, and the first of two edges'.
+            # If two projectors are from the same state, that of the edge wins over the on-board
+            # computer's, and the first of two edges' wins.
             same_state = entry.sequence == held.sequence
             if entry.sequence > held.sequence or (same_state and held.on_board > entry.on_board):
                 break

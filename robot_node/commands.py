@@ -32,7 +32,7 @@ from shared.wire.operator.events import CommandEvent
 from shared.wire.operator.messages import CLOCK_KEY, EVENTS_KEY, ROBOT_COMMANDS_KEY, encode_event
 from shared.wire.robot_clock import ClockReading, encode_clock
 
-# A script's command is prepared this time before it is due [ns].
+# A script's command is prepared by this time before it is due [ns].
 _LEAD_NS = 300_000_000
 _LOOK_SECONDS = 0.02
 _ATTEMPTS = 3

@@ -28,11 +28,11 @@ from shared.wbc.torque import recover_torque
 # A probe of the contraction every so many ticks, and its weight in the average: 50 ms.
 _PROBE_TICKS = 10
 _AVERAGE = 0.2
-# Of forces [N] against accelerations in the size of a correction; below the least size [rad/s²] a
-# correction is too small to tell anything.
+# The weight of forces [N] against accelerations in the size of a correction. A correction below the
+# least size [rad/s²] is too small for an estimate.
 _FORCE_SCALE = 0.1
 _NEGLIGIBLE = 1e-3
-# At most so many more corrections in a tick whose torques would be clamped.
+# The maximum number of further corrections in a tick whose torques would be clamped.
 _TORQUE_STEPS = 2
 
 
@@ -69,8 +69,8 @@ class LocallyCorrected(Controller):
 
     def __init__(self, parts: ControllerParts) -> None:
         config = parts.config.correction
-        # Of the operating system's entropy, because an edge that knew the numbers could pass the
-        # test. Which factorisations pass does not depend on them.
+        # Seeded by the operating system's entropy, because an edge that knew the numbers could pass
+        # the test. Which factorisations pass does not depend on them.
         rng = np.random.default_rng()
         self.cache: FactorisationCache = FactorisationCache(
             parts.codec,

@@ -28,7 +28,7 @@ from shared.telemetry.schema import Source
 STALE_NS = 250_000_000
 # The wait for the tick that carries a command out.
 _BETWEEN_SECONDS = 2.0
-# Between two looks for a command while simulated time stands still.
+# The time between two looks for a command while simulated time stands still.
 _STANDING_SECONDS = 2e-3
 # An overtaken message is refused as a matter of course.
 _OVERTAKEN = "stale"

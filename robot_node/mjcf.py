@@ -20,7 +20,7 @@ from shared.motion.ground import FLAT, HOLE, Ground, Patch
 from shared.robots import Foot, Robot, Sole
 
 _SOLE_THICKNESS = 0.01
-# The ground goes so far beyond its patches, and so far below the deepest hole [m].
+# The extent of the ground beyond its patches, and below the deepest hole [m].
 _BEYOND, _THICKNESS = 10.0, 0.5
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # The computation of an on-board computer at (q, v) for a target.
 Solve = Callable[[np.ndarray, np.ndarray, int], Any]
-# Makes it, wherever the computer is: in a process of its own it is named by its module.
+# Makes the computation. A picklable function, because the computer may be a separate process.
 MakeSolve = Callable[[Robot, RunConfig, Motion], Solve]
 
 

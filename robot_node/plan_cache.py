@@ -28,14 +28,15 @@ from shared.wire.codec import Codec
 from shared.wire.messages import PlanMessage
 from shared.wire.plans import PlanCodec, law_identity
 
-# A plan's feet may be as far from the robot's [m, rad]; wire's rounding in its grids [m].
+# The largest distance of a plan's feet from the robot's [m, rad], and the rounding of its grids on
+# the wire [m].
 _FEET_APART, _FEET_TURNED = 0.05, 0.2
 _ROUNDING = 1e-5
-# A foot goes at most so far up or down from the other one, and so high above both [m].
+# The largest climb or descent of a foot from the other one, and its largest height above both [m].
 _CLIMB, _LIFT = 0.15, 0.3
-# CoPs and DCMs of a plan are at most as far from a foot [m].
+# The largest distance of a plan's CoPs and DCMs from a foot [m].
 _FARTHEST = 1.0
-# Values of a law are at most this factor from the robot's own ones, and so much apart.
+# The largest ratio of a law's values to the robot's own ones, and their largest difference.
 _FACTOR, _APART = 2.0, 0.01
 _GRIDS = ("times", "footholds_x", "footholds_y", "cops_x", "cops_y", "offsets")
 _VALUES = ("values_x", "values_y", "going_on_x", "going_on_y")
@@ -53,7 +54,7 @@ class PlanCache:
         session: int,
         refused: RefusalCounter | None = None,
     ) -> None:
-        # A robot that begins anew goes on counting.
+        # The count goes on when the robot begins anew.
         self.refused = RefusalCounter() if refused is None else refused
         self.law = 0
         self.plan = -1

@@ -86,7 +86,7 @@ class MujocoPlant:
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         mujoco.set_mju_user_warning(_ignore_warning)
         self.data = mujoco.MjData(self.model)
-        # MuJoCo's own memory, each of which it would look up anew.
+        # Views of MuJoCo's memory, because each access by name looks them up again.
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
         self._fastest = robot.velocity_limit if config.velocity_limits else None
         self._force_on_base = self.data.xfrc_applied[self.model.body(robot.model.names[1]).id, :3]

@@ -17,10 +17,10 @@ from shared.robots import Robot
 from shared.wbc.continuity import continues
 
 HELD_OVER_TICKS = 50
-# Least difference from the expected position that is a fault [rad, m], and on top of it in standard
-# deviations of the noise.
+# A larger difference from the expected position is a fault [rad, m]. Standard deviations of the
+# noise are added to it.
 _JUMP, _NOISE = 0.05, 10.0
-# A base that is faster is looked at more closely [m/s, rad/s].
+# The base is checked more closely above these speeds [m/s, rad/s].
 _FAST = 20.0
 BASE = "base"
 
@@ -47,7 +47,7 @@ class SensorGuard:
             jump = q - last
             of_joints, of_base = jump[7:], v[:6]
             of_joints -= self._period * v[6:]
-            # All sensors at once, first. A number that is none fails too.
+            # First a check of all sensors at once, which a NaN fails too.
             if not (jump.dot(jump) <= self._jump**2 and of_base.dot(of_base) <= _FAST**2):
                 q, v = self._replaced(q, v, last)
             elif self._faulty:
@@ -60,7 +60,7 @@ class SensorGuard:
         self, q: np.ndarray, v: np.ndarray, last: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         explained = continues(last, q, v, seconds=self._period, jump=self._jump)
-        # After a number that is none, which was passed on, any number is welcome.
+        # After a NaN that was passed on, any number is accepted.
         known, number = np.isfinite(last), np.isfinite(q)
         explained[0] |= bool(number[:7].all() and np.isfinite(v[:6]).all() and not known[:7].all())
         explained[1:] |= ~known[7:] & number[7:] & np.isfinite(v[6:])

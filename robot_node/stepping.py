@@ -37,9 +37,10 @@ _AVERAGE = 0.03
 _SETTLING = 0.6
 # Part of a swing before which a force on the foot is that of lifting off.
 _MAY_LAND = 0.5
-# A foot that has just landed does not step again for so long [s]; the other one may.
+# A foot that has just landed does not step again within this time [s]; the other one may.
 _SAME_FOOT = 0.25
-# A planned step waits at most so long [s] for a DCM that is further than this from its place [m].
+# The longest wait of a planned step [s] for a DCM that is further than this from its planned place
+# [m].
 _WAITS, _NEAR = 0.3, 0.02
 # Rate at which the height of the CoM follows that of the feet [1/s].
 _LEVELLING = 6.0
@@ -124,7 +125,7 @@ class ContactClock:
         duration = (plan.phases[0].end_ns - plan.phases[0].begin_ns) * 1e-9
         swing.nominal, swing.nominal_time = goal, duration
         if self.law is None:
-            # Not sooner than the foot may still change its goal.
+            # Not within the time in which the goal of the foot is fixed.
             end = max(swing.begin + duration, self._last_time + self._config.freeze)
             swing.path = swing.path.retargeted(goal, time=self._last_time, end=end)
 

@@ -36,7 +36,8 @@ _JOINT_DISTANCE, _JOINT_NOISE = 0.3, 6.0
 # no forces at all, 1.
 _FORCE, _MOMENT = 0.2, 0.2
 _GRAVITY = 9.81
-# Of the largest equality row, at its own state. Measured in single precision: 1e-5.
+# The tolerance of an equality at the projector's own state, as a part of the largest equality row.
+# Measured in single precision: 1e-5.
 _EXACT = 1e-2
 
 

@@ -19,9 +19,9 @@ from robot_node.onboard import MakeSolve
 from shared.config.settings import RunConfig
 from shared.errors import LinkError
 
-# The same as for a service: the worker loads as much as one.
+# The same as for a service, because the worker loads the same libraries.
 _START_SECONDS = 60.0
-# Between the shim and the edge: it is the robot's computer, but its work is not a tick's.
+# The priority is between those of shim and edge, because the work is the robot's but not in a tick.
 _PRIORITY = 15
 
 

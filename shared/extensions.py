@@ -162,7 +162,7 @@ class Extensions(Names):
         try:
             signature = inspect.signature(function)
         except (TypeError, ValueError):
-            return  # compiled: nothing is known of its arguments
+            return  # compiled code: its arguments are unknown
         try:
             signature.bind(*range(taken.positional), **dict.fromkeys(taken.keywords))
         except TypeError as error:

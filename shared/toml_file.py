@@ -10,7 +10,7 @@ from shared.errors import ConfigError
 from shared.regular_file import read_regular
 
 _MAX_BYTES = 1_000_000
-# More than any file of this project has, and far less than Python's recursion can take.
+# More levels than any file of this project has, and far fewer than Python's recursion limit.
 _MAX_DEPTH = 30
 # The parser's time grows with the square of the number of dots in a key.
 _MAX_DOTS = 500

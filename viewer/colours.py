@@ -42,7 +42,7 @@ MODES: dict[ContactMode, Colour] = {
     ContactMode.LEFT_SUPPORT: (160, 70, 110),
     ContactMode.RIGHT_SUPPORT: (24, 126, 146),
 }
-# Of a side of a sole: at its friction, or only kept on the ground by its least normal force.
+# A side of a sole is at its friction, or only its least normal force keeps it on the ground.
 SOLES: dict[str, Colour] = {"friction": LIMIT, "unloaded": (78, 84, 104)}
 RUNS = (PLAN, COM, FORCE, PRESSURE, SUPPORT, RIGHT_FOOT)
 """The colours of compared runs, in their order."""

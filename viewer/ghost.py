@@ -23,7 +23,8 @@ from shared.robots.description import sole_frame_name
 from shared.wbc.contacts import ContactMode
 from shared.wbc.reference import Motion, Reference
 
-# Largest error of CoM and soles, too small to be seen [m, rad]; most steps towards it.
+# The largest error of CoM and soles, too small to be seen [m, rad], and the maximum number of steps
+# towards it.
 TOLERANCE = 1e-4
 MAX_STEPS = 8
 # Damping: without it, a stretched leg leads to infinite joint angles.

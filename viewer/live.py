@@ -117,7 +117,7 @@ class _Drawn:
 
     def add(self, blocks: list[bytes]) -> None:
         for block in blocks:
-            # Whatever is wrong with a block, the view goes on with the next one.
+            # After any error in a block, the view goes on with the next one.
             try:
                 schema, rows = decode_rows(block, *self._schemas)
                 self._scene.log_rows(schema, rows)

@@ -178,7 +178,7 @@ def _trial_of(
     settings["push"] = [f"100N@0.3s:0.2s:{axis}"] if pushed else []
     if not walks and turn % 8 == 7:
         name = settings["robot.name"] = sorted(CATALOGUE)[turn // 8 % len(CATALOGUE)]
-        # What pushes the default robot may be too much for a smaller one.
+        # The push of the default robot may be too strong for a smaller one.
         if name != RobotConfig.name:
             settings["push"] = []
     return {"controller": controller, "settings": settings}, settings

@@ -14,7 +14,7 @@ from shared.commands import wbc
 from shared.errors import LinkError
 from shared.wire.operator.commands import Accepted, Command
 
-# More than the robot, the shim or the edge may take.
+# Longer than the robot, the shim or the edge may take.
 _ANSWER_SECONDS = 30.0
 
 

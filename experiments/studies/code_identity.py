@@ -31,7 +31,7 @@ def code_version() -> str:
         path for part in parts for path in ([part] if part.is_file() else part.rglob("*.py"))
     )
     sources = {path.relative_to(ROOT).as_posix(): path.read_bytes() for path in files}
-    # What a robot file states, without its comments.
+    # The content of a robot file, without its comments.
     robots = {f"robots/{name}": description_of(name).stated.encode() for name in CATALOGUE}
     return identity(sources | robots)
 

@@ -19,7 +19,7 @@ from netem.importers.source import MAX_RECORDS, opened, wrong
 from shared.errors import ProfileError
 
 _S = 1_000_000_000
-# Byte order, and how many ns the fraction of a second counts.
+# Byte order, and the unit of the fraction of a second [ns].
 _MAGICS = {
     b"\xd4\xc3\xb2\xa1": ("<", 1000),
     b"\xa1\xb2\xc3\xd4": (">", 1000),

@@ -54,7 +54,7 @@ def read_irtt(path: Path, options: Options, direction: int) -> Measured:
         return Measured(ways, notes, {"split": "one-way"}, two_clocks=True)
     _need_round_trips(path, rows)
     trip = np.array([row["rtt"] or 0 for row in rows])
-    # Each half leaves out the packets whose fate on that way is unknown.
+    # Each half leaves out the packets whose fate in that direction is unknown.
     up, _ = _halved(lost != "true_down", sent, trip, lost, traffic)
     _, down = _halved(lost != "true_up", sent, trip, lost, traffic)
     up, down = _with_unknown((up, down), sent, lost)

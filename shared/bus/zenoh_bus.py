@@ -30,10 +30,10 @@ from shared.errors import LinkError
 
 # A slow link should lose messages, not store them: a message that waits here is old when it
 # arrives. So few batches wait in the process (Zenoh's default of two loses bursts of 40 kB
-# messages), and the kernel's send buffer is small (the kernel doubles the size asked for). If it
-# held less than the bytes under way on the path, messages would wait for acknowledgements. These
-# sizes are for 1 MB/s of states at a round trip of 30 ms, and 100 Mbit/s of projectors at 10 ms.
-# Measured: docs/real-network.md.
+# messages), and the kernel's send buffer is small (the kernel doubles the size asked for). If the
+# send buffer held less than the bytes under way on the path, messages would wait for
+# acknowledgements. These sizes are for 1 MB/s of states at a round trip of 30 ms, and 100 Mbit/s of
+# projectors at 10 ms. Measured: docs/real-network.md.
 _LINK_BATCHES, _LOCAL_BATCHES = 4, 16
 _SMALL_MESSAGE = 1_000
 _SMALL_SEND_BUFFER, _SEND_BUFFER, _LOCAL_SEND_BUFFER = 32_768, 131_072, 262_144

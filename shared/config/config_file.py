@@ -56,7 +56,7 @@ def _walk_duration(config: RunConfig) -> float:
     return dataclasses.replace(walk, steps=steps).duration
 
 
-# What a walk to a goal moves forward, sideways and turns in a step, on the average [m, m, rad].
+# The mean advance of a step to a goal: forward, sideways, turn [m, m, rad].
 _SHORTEST_STEP, _SIDEWAYS_OF_A_STEP, _TURN_OF_A_STEP = 0.05, 0.1, 0.15
 
 

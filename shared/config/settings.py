@@ -657,7 +657,7 @@ class RunConfig:
         # A file may lie elsewhere on the other machine. The motion has its own digest.
         task, ground = self.task.rpartition(":")[2], self.ground.rpartition("/")[2]
         robot = self.robot
-        if robot.name not in ROBOTS.own:  # so may the file of a robot, which counts by its content
+        if robot.name not in ROBOTS.own:  # the robot's file may too, so its content counts
             robot = replace(robot, name=f"{robot.label} {ROBOTS.identity(robot.name)}")
         steps = () if self.stepping.mode == "off" else (self.stepping,)
         agreed = repr((task, ground, robot, self.wbc, self.walk, *steps))

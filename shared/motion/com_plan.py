@@ -138,7 +138,7 @@ def dcm_plan(segments: Sequence[ZmpSegment], *, omega: float, position: np.ndarr
 
     The first segment's ZMP start is free and chosen so that the motion begins at rest.
     """
-    # Capture point at the beginning of each segment, backwards from rest at the end.
+    # The DCM at the beginning of each segment, backwards from rest at the end.
     xi = segments[-1].end
     for segment in reversed(segments[1:]):
         xi = _xi_before(segment, xi, omega)

@@ -38,8 +38,8 @@ from shared.motion.ground import Ground, Patch
 from shared.robots import Foot, Robot
 from shared.robots.standing import leg_length
 
-# Points in the plane are complex numbers x + iy here, so that a turn is a product.
-# A search that has not found the goal in so many states gives up.
+# Points in the plane are complex numbers x + iy here, so that a turn is a product. A search gives
+# up after this number of states.
 MAX_EXPANSIONS = 1000
 # Grid of the footholds beside a foot [m, rad].
 _FORWARD_GRID, _SIDEWAYS, _TURNS = 0.03, (0.0, 0.04, 0.1), (-0.13, 0.0, 0.26)
@@ -52,20 +52,21 @@ _FASTEST = 0.5
 _TOLERANCE = 3e-3
 # Cells of the height table, and the distance of points of a sole [m].
 _CELL, _SPACING = 0.01, 0.02
-# A foot lands so far from higher ground ahead and behind, beside the 1 cm from any edge [m].
+# Least distance of a landing foot from higher ground ahead and behind, beside the 1 cm from any
+# edge [m].
 _AHEAD = 0.02
 # Two states are the same within this [m, rad].
 _SAME, _SAME_BEHIND, _SAME_TURN = 0.04, 0.12, 0.12
-# Edge of a coarse cell in cells, and the length of a way across a wall or a hole, × its own. A way
-# longer than the direct one by the last factor goes round an obstacle.
+# Edge of a coarse cell in cells, and the factor on the length of a way across a wall or a hole. A
+# way that is longer than the direct one by the last factor goes round an obstacle.
 _COARSE, _WALL, _ROUND = 4, 4.0, 1.2
 # Half of the width of a stance, in coarse cells.
 _HALF_STANCE = 4
 # Weight of the estimate: larger finds a way sooner, and a longer one.
 _GREED = 2.5
-# The table reaches so far around start and goal [m].
+# The margin of the table around start and goal [m].
 _AROUND = 0.6
-# The feet stand at most so far from the goal, if there is no level ground at it [m].
+# The largest distance of the feet from a goal without level ground [m].
 _NEAR, _NEAR_GRID = 0.16, 0.02
 # The height of a place where no foot may be set [m]; the rim of the table in cells.
 _NOWHERE, _RIM = -3.0, 40
@@ -499,7 +500,7 @@ class _Reach:
             sideways = max(self._width, self._least(turn)) + wider
             extra = 2.0 * wider + abs(turn) + (0.1 if forward < 0.0 else 0.0)
             rows.append((forward, sideways, turn, extra))
-        # The longest first: of two ways as good it is taken.
+        # The longest step comes first, because the search takes the first of two equally good ways.
         return np.array(sorted(rows, key=lambda row: -row[0]))
 
     def _least(self, turn: float) -> float:

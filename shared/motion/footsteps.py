@@ -102,7 +102,8 @@ def _check(robot: Robot, step: Step, *, number: int, lowering: float) -> None:
             "larger step_width or a smaller step_sideways"
         )
     reach = leg_reach(robot, raised=-lowering)
-    # Hips sit above the stance's middle: half the step is each leg's share while both are down.
+    # The hips are above the middle of the stance, so each leg spans half of a step while both feet
+    # are down.
     stance = standing_footprints(robot)
     natural = stance[Foot.LEFT].y - stance[Foot.RIGHT].y
     distance = math.hypot(forward, lateral - natural) / 2

@@ -33,7 +33,7 @@ _BEGIN, _SIDE = 0.2, 2.0
 # Edge of a block, depth of a stair, length of a slope and of a landing [m].
 _BLOCK, _TREAD, _SLOPE, _LANDING = 0.3, 0.3, 1.5, 1.0
 _BLOCKS_END = 5.0
-# The robot begins in this distance from the origin, ahead and to the side [m].
+# The robot begins within this distance of the origin, ahead and to the side [m].
 _START = (0.15, 0.2)
 _SPACING = 0.01
 # Beyond all ground [m].

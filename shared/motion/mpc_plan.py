@@ -96,7 +96,7 @@ def mpc_plan(phases: Sequence[SupportPhase], *, omega: float, position: np.ndarr
                 "support: use a longer begin_duration or double_support, shorter steps, or "
                 'com_plan = "dcm", which does not look at the support'
             )
-        if ends:  # another horizon would end at the same place, and find the same again
+        if ends:  # a further horizon would end at the same place with the same result
             zmp.extend(ahead)
             break
         xi, eta = horizon.first_state(ahead)

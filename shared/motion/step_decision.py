@@ -110,7 +110,8 @@ class StepDecision:
         axes = np.array(((c, s), (-side * s, side * c)))
         origin = support.position
         goal, yaw = np.array((0.0, law.width)), support.yaw
-        # On unknown ground the lower one: to land early is safe, to land late is not.
+        # On unknown ground the goal has the height of the lower foot, because an early landing is
+        # safe and a late one is not.
         z = min(each.z for each in balance.feet.values())
         if in_air.nominal is not None:
             goal = axes @ (in_air.nominal.position - origin)

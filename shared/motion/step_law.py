@@ -38,7 +38,8 @@ _CLEARANCE = 0.02
 _REACH_X, _REACH_Y = 0.36, 0.3
 # Limits of the swing foot [m/s², m/s].
 _MAX_ACCELERATION, _MAX_SPEED = 30.0, 3.2
-# Prices: of a foothold off the nominal one, of a CoP, of a time, of a DCM that no foot captures.
+# Prices of the deviation from the nominal foothold, CoP and time, and of a DCM that no foot
+# captures.
 _FOOTHOLD_PRICE, _COP_PRICE, _TIME_PRICE, _CAPTURE_PRICE = 1.0, 1.0, 0.3, 30.0
 _COP_SHARE = 0.72
 _CAPTURE_MARGIN = 0.015
@@ -234,7 +235,8 @@ def choose_step(
         (law.cops_x, law.footholds_x, law.going_on_x if going_on else law.values_x, 1.0),
         (law.cops_y, law.footholds_y, law.going_on_y if going_on else law.values_y, -1.0),
     )
-    # By axis, J without its price of time: for every CoP, (T, p, u), and for the best one, (T, u).
+    # For each axis, J without the price of time: for every CoP, (T, p, u), and for the best CoP,
+    # (T, u).
     by_cop: list[np.ndarray] = []
     by_foothold: list[np.ndarray] = []
     for axis, (cops, footholds, values, direction) in enumerate(axes):

@@ -64,8 +64,8 @@ def swing(
 
 # The downward speed at which a foot that may land at any height meets the ground [m/s].
 _LANDING_SPEED = 0.15
-# A foot that is late goes down faster and faster [m/s³] for so long [s]: each tick that it misses
-# the ground, the DCM runs on.
+# The downward acceleration of a late foot grows at this rate [m/s³] for this time [s], because the
+# DCM diverges until the foot lands.
 _FASTER, _FASTER_FOR = 80.0, 0.08
 # Part of the swing after which the foot is highest: on level ground, up a stair and down one. So
 # the foot passes above the edge. A stair is higher than the last number [m].

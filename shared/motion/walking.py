@@ -108,7 +108,7 @@ class Walking:
         steps = under_way + 2
         if steps >= len(self.steps):
             return self
-        # In closed form, whichever plan this is: it is needed within a tick or a few.
+        # In closed form for both plans, because it is needed within a few ticks.
         config = dataclasses.replace(self._config, steps=steps, com_plan="dcm")
         first = self.steps[:steps] if self._given_steps else None
         shorter = Walking(self._robot, config, steps=first)
@@ -167,7 +167,7 @@ class Walking:
                 add(begin, end, (step.support, goal), self._zmp(goal), velocity, goal.z)
             else:
                 centre = (self._zmp(step.support) + self._zmp(step.goal)) / 2
-                # At last the CoM is as high as in standing.
+                # At the end the CoM is as high as in standing.
                 between = (step.support.z + step.goal.z) / 2 + self._config.com_lowering
                 for span in ((begin, begin + _SETTLE), (begin + _SETTLE, end)):
                     add(*span, (step.support, step.goal), centre, still, between)

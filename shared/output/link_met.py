@@ -16,7 +16,7 @@ from shared.telemetry.outages import OUTAGE, LinkLane
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema
 
 DIRECTIONS = ("uplink", "downlink")
-# Shorter outages are jitter: no controller falls by them.
+# Shorter outages are jitter, and no controller falls because of them.
 LEAST_NS = 10_000_000
 _PERIOD_NS = 1_000_000
 

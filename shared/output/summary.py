@@ -20,7 +20,8 @@ from shared.telemetry.metrics import quantiles
 
 # A profile of one value, such as a constant delay, has no places.
 _LEAST_PROFILE_SECONDS = 0.01
-# A run has met an outage if it has met one of at least this share.
+# A run has met the profile's worst outage if it has met an outage of at least this share of its
+# length.
 _AS_LONG = 0.9
 # A run that is to meet an outage begins this long before it.
 _BEFORE_SECONDS = 1.0

@@ -162,7 +162,8 @@ def run(main: Callable[[], int]) -> NoReturn:
         _give_up_output()
         code = EXIT_ERROR
     except OSError as error:
-        # A command makes user errors of those that it expects. The rest is of the machine.
+        # A command turns the errors that it expects into user errors. Other errors come from the
+        # machine.
         if error.filename is None and error.errno in _OUTPUT_ERRORS:
             _give_up_output()
             text = f"cannot write to standard output: {error.strerror}"

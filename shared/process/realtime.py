@@ -40,7 +40,8 @@ class RealtimeBudget:
     """
 
     WINDOW_NS = 20_000_000
-    # Of the kernel's share: other real-time threads of the process run on the core too.
+    # A part of the kernel's share, because other real-time threads of the process run on the core
+    # too.
     _MARGIN = 0.98
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ from shared.file_lock import is_locked
 from shared.telemetry.parquet import write_parquet
 from shared.telemetry.row_log import read_rows
 
-# Of the files of a life.
+# The endings of the files of a life.
 KINDS = ("rows", "parquet", "json")
 
 

@@ -55,7 +55,7 @@ def apply_projector(
     if max(lacks.max(), misses.max(initial=0.0)) <= 0.0:
         return Assisted(y, force, 0)
     decided = _decide(stack, opened, misses, lacks)
-    if decided is None:  # the clamp has the last word
+    if decided is None:  # the clamp still limits the torque
         return Assisted(y, force, projector.active_set)
     u, active = decided
     y += opened.push.dot(u)
@@ -79,7 +79,7 @@ def _decide(
     upper, sense = np.full(len(lower), _NO_BOUND), np.zeros(len(lower), dtype=np.int32)
     try:
         u, _, flag, info = daqp.solve(np.eye(n_u), np.zeros(n_u), rows, upper, lower, sense)
-    except RuntimeError:  # how daqp says that it cannot
+    except RuntimeError:  # daqp reports a failure by this error
         return None
     if flag != 1:
         return None

@@ -27,7 +27,7 @@ from shared.wbc.model import Kinematics
 from shared.wbc.reference import Reference
 
 _GRAVITY = 9.81
-# The support is computed anew when a sole has moved so far [m].
+# The support is computed again when a sole has moved by this distance [m].
 _MOVED = 2e-3
 # A CoM lower than this over its soles is that of a fallen robot [m].
 _MIN_HEIGHT = 0.1

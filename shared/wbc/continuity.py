@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-# Of the base, on whose measurement there is no noise [m, and part of a quaternion].
+# The same for the base, whose measurement has no noise [m, and part of a quaternion].
 _BASE_JUMP = 0.05
 
 

@@ -164,7 +164,7 @@ class Corrector:
         try:
             self._qp.update(f=-(self._F @ f))
             nearest, _, flag, info = self._qp.solve()
-        except RuntimeError:  # how daqp says that it cannot
+        except RuntimeError:  # daqp reports a failure by this error
             return None
         return (np.asarray(nearest), np.flatnonzero(info["lam"])) if flag == 1 else None
 
@@ -247,7 +247,7 @@ class LimitedProjection:
         try:
             self._qp.update(bupper=self._upper, blower=self._lower)
             w, _, flag, info = self._qp.solve()
-        except RuntimeError:  # how daqp says that it cannot
+        except RuntimeError:  # daqp reports a failure by this error
             return None
         if flag != 1:
             return None
@@ -256,8 +256,8 @@ class LimitedProjection:
         return self._y_from_w.dot(w), self._gradient_from_w.dot(w), active
 
 
-# Of the forces' block of P: a friction row may yield so much, because the wire rounds P to single
-# precision and W P Wᵀ has only as many dimensions as y has freedoms.
+# The slack of a friction row, as a part of the forces' block of P. A row may yield by it, because
+# the wire rounds P to single precision and W P Wᵀ has only as many dimensions as y has freedoms.
 _ROUNDING = 3e-7
 
 

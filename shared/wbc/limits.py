@@ -28,8 +28,9 @@ _TORQUE_PRICE, _JOINT_PRICE = 1e5, 1e2
 _RATE, _HARDEST = 20.0, np.array(100.0)
 _SQUARE_RATE, _DOUBLE_RATE = np.array(_RATE**2), np.array(2.0 * _RATE)
 _UNLIMITED = 1e9
-# A quantity so far from its bound counts as near, [1] and [rad/s²]. A projector leaves at most so
-# many limits open: near ones, and active ones. A message has room for two such projectors.
+# A quantity within this distance of its bound counts as near, [1] and [rad/s²]. The number is the
+# most limits that a projector leaves open, near and active ones. A message has room for two such
+# projectors.
 _TORQUE_NEAR, _JOINT_NEAR = 0.5, 50.0
 _MOST_NEAR, MOST_OPEN = 8, 40
 

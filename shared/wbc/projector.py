@@ -28,11 +28,12 @@ from shared.wbc.least_norm import LeastNorm
 from shared.wbc.qp import QpSolver, QpStatus, QuadraticProgram
 from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
 
-# How clearly a set must be optimal to be taken without asking a solver [N]. Well above the solvers'
-# own tolerances: they would find the same set, so an answer does not depend on the states before.
+# The margin by which a set must be optimal to be taken without a solver [N]. It is well above the
+# solvers' own tolerances. They would find the same set, so an answer does not depend on earlier
+# states.
 _CLEARLY = 1e-4
-# A limited quantity beyond its bound by more than rounding, [1] or [rad/s²]; and the most often
-# that the solver is asked again with the limits found by then.
+# A limited quantity beyond its bound by more than this is no rounding error, [1] or [rad/s²]. The
+# number is the maximum number of solves with further limits.
 _BEYOND, _MAX_ROUNDS = 1e-7, 20
 
 
@@ -175,14 +176,14 @@ def leave_open(
     S = B @ B.T
     n = len(S)
     S.flat[m * (n + 1) : (m + k) * (n + 1) : n + 1] += stack.slack[limits % n_x]
-    # What b, and the pushes, ask of the equalities.
+    # The right-hand sides of the equalities, for b and for the pushes.
     asked = np.concatenate([problem.rows[:, form.b], -S[:m, m:]], axis=1)
     factor = _cholesky(S)
     multipliers, _ = dpotrs(factor[:m, :m], asked, lower=1)
     z = B[:m].T @ multipliers
     z[:, n_rows:] += B[m:].T
     y = _y_from(stack, problem, z)
-    # What is left of S once the equalities have taken their part is L Lᵀ. u = Lᵀ λ has unit weight.
+    # L Lᵀ is the Schur complement of the equalities in S. u = Lᵀ λ has unit weight.
     of_pushes = factor[m:, m:]
     push, _ = dtrtrs(of_pushes, y[:, n_rows:].T, lower=1)
     opened = Openness(limits, np.ascontiguousarray(push.T), of_pushes[:k, :k])

@@ -105,8 +105,8 @@ class DaqpSolver:
             sense = np.concatenate([equalities, sense])
         data = (problem.H, problem.g, np.ascontiguousarray(rows), upper, lower, sense)
         shape = (len(problem.g), len(rows) - m, m)
-        # Kept for the next problem of its shape only if this one leaves it in order; one without
-        # rows cannot be updated.
+        # The workspace is kept for the next problem of its shape only if this solve succeeds. A
+        # problem without rows cannot be updated.
         model = self._models.pop(shape, None)
         if model is None:
             model = daqp.Model()

@@ -143,7 +143,7 @@ class Stack:
         self._n_equalities = N_DYNAMICS + ROWS_PER_CONTACT * len(mode.feet)
         task_rows = sum(task.size for task in self.tasks)
         varying = [np.full(task.size, not task.constant) for task in self.tasks]
-        # Which rows of A depend on the configuration; the others are known by themselves.
+        # The rows of A that depend on the configuration. The others are constant.
         self.varying_task_rows = np.flatnonzero(np.concatenate(varying))
         self.constant_task_rows = self._constant_task_rows()
         self.equality_rows = slice(0, self._n_equalities)

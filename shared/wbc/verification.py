@@ -14,8 +14,9 @@ from shared.wbc.stack import N_DYNAMICS, Stack, StackMatrices
 
 # Vectors per test: an error twice the tolerance passes one of them with probability 0.4.
 _N_VECTORS = 8
-# Of the ratio of the largest task weight to the smallest, by which H amplifies the rounding of P to
-# single precision. Measured up to 1 rad from standing: a sixteenth of it.
+# The tolerance, as a part of the ratio of the largest task weight to the smallest, by which H
+# amplifies the rounding of P to single precision. Measured up to 1 rad from standing: a sixteenth
+# of it.
 _ROUNDING = 1e-5
 _LEAST, _MOST = 1e-3, 0.3
 
@@ -44,7 +45,7 @@ class InverseTest:
         length = np.sqrt(lengths)[:, None]
         x = self._rng.standard_normal((n + len(length), _N_VECTORS))
         g, e = self._root * x[:n], length * x[n:]
-        # Numbers that overflow belong to no inverse.
+        # Blocks whose products overflow are no inverse.
         with np.errstate(over="ignore", invalid="ignore"):
             wrong_A = np.abs(factorisation.A - A).max() / np.abs(A).max()
             y = P @ g + Q @ e
@@ -60,5 +61,5 @@ class InverseTest:
                 np.abs((stationary - g) / self._root).max(),
                 np.abs((E_y - e) / length).max(),
             )
-        # Each is compared, because the largest of numbers need not be the one that is none.
+        # Each number is compared, because a maximum may skip a NaN.
         return all(error <= self.tolerance for error in errors)

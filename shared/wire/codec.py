@@ -47,8 +47,9 @@ SCHEMA_VERSION = 4
 _STATE, _PROJECTOR, _FACTORISATION = "state", "projector", "factorisation"
 _DTYPES: dict[str, np.dtype[Any]] = {"float64": DOUBLE, "float32": SINGLE}
 
-# Raises `MessageRefused` if an answer with this session and sequence is not wanted. In a message of
-# a form it is asked before the numbers are looked at, else when all is known to be right.
+# Raises `MessageRefused` if an answer with this session and sequence is not wanted. It is called
+# before the numbers of a message with a form are checked, and after all checks of any other
+# message.
 Judge = Callable[[int, int], None]
 
 
@@ -90,7 +91,7 @@ class Codec:
             for name in _DTYPES
             for n_active in range(layout.n_forces + 1)
         }
-        # By the size of the message: the shape and number format of its projector, and its form.
+        # For each size of a message: the shape and number format of its projector, and its form.
         # Those with open rows are too many: each is made when a message first has it.
         self._answer_forms_by_size: dict[int, tuple[tuple[int, int], str, Form]] = {}
         self._open_forms: dict[tuple[ContactMode, int, int], Form] = {}

@@ -14,7 +14,7 @@ from shared.errors import MessageRefused
 from shared.wire.operator.commands import TICK_NS
 
 _MAX_BYTES = 100
-# Of bytes that another program may have sent.
+# The errors that bytes of another program may raise.
 _UNREADABLE = (msgpack.UnpackException, TypeError, ValueError, OverflowError)
 
 

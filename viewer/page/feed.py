@@ -79,7 +79,7 @@ class Feed:
         """Take in blocks, in order. Return whether the state has changed."""
         changed = False
         for block in blocks:
-            # Whatever is wrong with a block, the page goes on with the next one.
+            # After any error in a block, the page goes on with the next one.
             try:
                 schema, rows = decode_rows(block, self._ticks, LINK_SCHEMA, SOLVE_SCHEMA)
                 if len(rows):

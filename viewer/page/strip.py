@@ -24,7 +24,7 @@ class Strip:
 
     def __init__(self) -> None:
         self._now_ns: int | None = None
-        # Of each bucket: its number, and its largest age [ms].
+        # The number of each bucket, and its largest age [ms].
         self._ages: deque[tuple[int, float]] = deque(maxlen=SPAN_NS // BUCKET_NS)
         # The robot sends all the time; the edge may have nothing to send.
         self._lanes = (LinkLane(steady=True), LinkLane())

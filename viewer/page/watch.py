@@ -24,7 +24,7 @@ from viewer.rerun_process import free_port
 from viewer.title import parts
 
 PORT = 9090
-# A look at the queue; the robot's blocks come ten times a second [s].
+# The time between two looks at the queue [s]. The robot's blocks come ten times a second.
 _LOOK = 0.02
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from shared.config.quantities import parse_push
 
 TICK_NS = 1_000_000
-# A velocity holds for so long after its command [ns], by the robot's clock.
+# A velocity holds for this time after its command [ns], by the robot's clock.
 DRIVE_NS = 1_000_000_000
 # Numbers are rounded to this number of decimals, so that a text and its value say the same.
 DIGITS = 6

@@ -16,7 +16,7 @@ from shared.wire.operator.commands import TICK_NS, Command
 from shared.wire.operator.texts import parse_command
 
 EVENTS_FILE = "events.txt"
-# The script of a run, which says what was planned. `events.txt` says what came.
+# The script of a run has the planned commands. `events.txt` has the carried-out ones.
 SCRIPT_FILE = "script.txt"
 _MAX_FILE_BYTES = 10_000_000
 

@@ -20,7 +20,7 @@ VIEW_KEY = "telemetry/view"
 
 _VERSION = 1
 _MAX_BYTES = 1_000
-# Of bytes that another program may have sent.
+# The errors that bytes of another program may raise.
 _UNREADABLE = (msgpack.UnpackException, TypeError, ValueError, OverflowError)
 
 

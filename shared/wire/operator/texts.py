@@ -31,7 +31,7 @@ from shared.wire.operator.commands import (
 )
 
 _MAX_TEXT = 300
-# More is a typing error, or breaks the robot.
+# A larger force is a typing error, or breaks the robot.
 _MAX_FORCE, _MAX_PUSH_NS = 10_000.0, 60_000_000_000
 _PUSH_FOR = "0.2s"
 _MAX_STEP_TICKS = 60_000
