@@ -229,7 +229,7 @@ class _Peer:
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
         self.torques: dict[str, np.ndarray] = {}
-        # Their libraries print lines of their own.
+        # Their libraries also print lines.
         self.versions = self._line("READY ")
 
     def batch(self, name: str) -> Batch:

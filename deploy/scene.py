@@ -10,7 +10,7 @@ from shared.errors import UserError
 from shared.wire.operator.commands import Command
 from shared.wire.operator.events import parse_event
 
-# The events of `up` without arguments, beside the push of the settings: a stall, and a cut link.
+# The events of `up` without arguments, beside the push of the settings: an outage, and a cut link.
 DEMO = tuple(
     parse_event(text) for text in ("2.2s link outage 300ms", "3.2s link cut", "4.2s link restore")
 )

@@ -60,7 +60,7 @@ from shared.wire.operator.messages import VIEW_KEY
 from shared.wire.operator.texts import parse_command
 
 _STATUS_SECONDS = 0.1
-# A view that nobody opens does not hold the task for longer.
+# An unopened view does not hold the task for longer.
 _SEEN_SECONDS = 60.0
 _MAX_TYPED = 4
 # Where cores are few, the edge has this share of a core at real-time priority: enough for 150 to

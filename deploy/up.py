@@ -1,8 +1,8 @@
 """Start the stack, or the part of it that --only names, and wait for its end.
 
 Without --only everything runs on this machine: edge, netem, robot and viewer. Without any option it
-is a demonstration: a push, a stall and a cut link within 5 s. In a terminal the robot then stands,
-and takes commands, until Ctrl-C.
+is a demonstration: a push, an outage and a cut link within 5 s. In a terminal the robot then
+stands, and takes commands, until Ctrl-C.
 
 Exit code 0: the robot finished standing. With --stay, or if no robot runs here: a signal ended the
 services. With -d: all services are ready. 3: the robot fell. 130: a signal ended the robot's run.

@@ -34,7 +34,7 @@ _PAGES = {
 }
 # J_c, ω_f, s̈_ref, C_𝒜: a letter with its marks, and a short subscript.
 _SUBSCRIPT = re.compile(
-    r"((?<![\w/.])[^\W\d_][\u0300-\u036f]*|\))_([A-Za-z0-9𝒜ρ]{1,3}(?:,[a-z])?)(?![A-Za-z0-9_])"
+    r"((?<![\w/.])[^\W\d_][\u0300-\u036f]*|\))_([A-Za-z0-9𝒜ρ]{1,4}(?:,[a-z])?)(?![A-Za-z0-9_])"
 )
 # A formula between dollars, in the markup of pymdownx.arithmatex.
 _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)

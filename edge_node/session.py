@@ -164,7 +164,7 @@ class Sessions:
 
     def _begin(self, key: tuple[str, int], now_ns: int) -> RobotSession:
         session = RobotSession(self._config, self._motion, now_ns=now_ns)
-        # It gets its turn after those that wait.
+        # It gets its turn after the waiting sessions.
         session.served = self._turn
         self._sessions[key] = session
         return session

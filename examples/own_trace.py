@@ -41,7 +41,7 @@ def main(duration: float = 4.0, folder: Path = Path("runs")) -> tuple[DelayProfi
     profile = read_profile(path)
     round_trip_ms = delays_ms(profile, "round trip")
     longest = max(outage.peak_ms for outage in outages(round_trip_ms) if outage.peak_ms < np.inf)
-    print(f"round trip {np.median(round_trip_ms):g} ms, in the stall up to {longest:g} ms")
+    print(f"round trip {np.median(round_trip_ms):g} ms, in the outage up to {longest:g} ms")
 
     # The seed draws where in the profile the run begins.
     config = load_config(None, {"duration": duration, "link.network": str(path), "seed": 0})

@@ -25,7 +25,8 @@ from shared.wbc.reference import Reference
 from shared.wbc.stack import Stack
 from shared.wbc.torque import recover_torque
 
-# A probe of the contraction every so many ticks, and its weight in the average: 50 ms.
+# The number of ticks between two probes of the contraction, and the weight of a probe in the
+# average: 50 ms.
 _PROBE_TICKS = 10
 _AVERAGE = 0.2
 # The weight of forces [N] against accelerations in the size of a correction. A correction below the

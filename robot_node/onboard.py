@@ -141,7 +141,7 @@ class OnBoardWindow:
         self._motion = motion
         self._computer = computer
         self._ready_after_ns = config.ready_after_ns(config.compute_ns)
-        # A preparation must be ready at the switch, however slow the computer.
+        # A preparation must be ready at the switch, also on a slow computer.
         self._prepare_ns = max(config.prepare_ns, self._ready_after_ns)
         self._period_ns = max(config.period_ns, self._ready_after_ns)
         self._under_way: tuple[int, int] | None = None

@@ -33,7 +33,7 @@ class Sensors:
     def restart(self) -> None:
         """Begin the noise sequence anew, so that a run does not depend on how long it waited."""
         self._rng = np.random.default_rng([self._seed, 1])
-        # Generators of their own: the joints' noise is the same with and without the others.
+        # Separate generators, so that the joints' noise is the same with and without the others.
         self._base_rng = np.random.default_rng([self._seed, 2])
         self._force_rng = np.random.default_rng([self._seed, 3])
         self._drift = np.zeros(3)

@@ -107,7 +107,9 @@ class TickRow:
         row[self._refused] = moment.refused
 
     def complete(self, rows: np.ndarray) -> None:
-        """Fill the columns of filled rows (n, width) that follow from others: loads of joints."""
+        """Fill, in filled rows (n, width), the columns that follow from others: the loads of
+        joints.
+        """
         columns = self._columns
         joints = rows[:, columns["q"]][:, 7:]
         speeds = np.abs(rows[:, columns["v"]][:, 6:]) / self._robot.velocity_limit

@@ -54,7 +54,7 @@ class FactorisationVerifier:
         config: RunConfig,
         rng: np.random.Generator,
     ) -> None:
-        # A workspace of its own: an answer may come between the two phases of a tick.
+        # A separate workspace, because an answer may come between the two phases of a tick.
         self._model = WholeBodyModel(robot)
         self._stacks = stacks
         self._tests = {

@@ -1,18 +1,22 @@
 """Checks the words that people read against the rules of CONTRIBUTING.md: `./deploy/lint prose`.
 
-Reads the Markdown pages and, from the Python sources, the docstrings, the help texts and the texts
-of errors. Prints one line for each place that breaks a rule: file, line, rule, and the words.
+Reads the Markdown pages and, from the Python sources, the docstrings, the comments, the help texts
+and the texts of errors. Prints one line for each place that breaks a rule: file, line, rule, and
+the words.
 """
 
 from __future__ import annotations
 
 import ast
+import io
 import re
 import subprocess
 import sys
+import tokenize
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 ROOT = Path(__file__).resolve().parents[1]
 MAX_WORDS = 32
@@ -26,21 +30,26 @@ PHRASES = {
     r"\bof (?:ours|theirs|its own|their own|one's own)\b": "say whose: the project's, the user's",
     r"\bnobody(?:'s)?\b": "say what there is not: no process, no user",
     r"\bthose that\b": "name the things",
+    r"\bfoot in the air\b": "the glossary says swing foot",
+    r"\bcapture point\b": "the glossary says DCM",
+    r"(?:\b(?:an?|the|its|their|each)|'s) (?:stall|begin)\b": "outage; beginning or start",
     r"\b(?:color|behavior|center|neighbor|meter)s?\b": "British: colour, behaviour, centre …",
     r"\b\w+(?:ptimiz|actoriz|ormaliz|inimiz|aximiz|ynchroniz|ecogniz)\w*\b": "British: -ise",
 }
+# Words that begin a comment in which a clause stands for the thing.
+LOOSE = {"What", "Whatever", "How", "Of", "Which"}
 # Prose of other people, and results that commands write.
 SKIPPED = ("docs/results", "docs/benchmarks", "docs/figures", "LICENSE")
 
 
 @dataclass(frozen=True)
 class Text:
-    """Words at a place; a `docstring` has to begin with a verb or a noun."""
+    """Words at a place. Docstrings and comments, by `kind`, have to begin with a verb or a noun."""
 
     file: str
     line: int
     words: str
-    docstring: bool = False
+    kind: Literal["docstring", "comment", "other"] = "other"
 
 
 @dataclass(frozen=True)
@@ -58,7 +67,8 @@ class Finding:
 def findings(text: Text) -> Iterator[Finding]:
     """The findings in a text, one for each rule that it breaks."""
     words = _without_code(text.words)
-    if text.docstring and (first := words.split()[:1]) and first[0].strip(",:;.") in CLAUSES:
+    wrong = {"docstring": CLAUSES, "comment": LOOSE}.get(text.kind, set())
+    if (first := words.split()[:1]) and first[0].strip(",:;.") in wrong:
         yield Finding(text, "begin with a verb or a noun", _short(words))
     for pattern, advice in PHRASES.items():
         for found in re.finditer(pattern, words, re.IGNORECASE):
@@ -77,6 +87,7 @@ def texts(files: list[str]) -> Iterator[Text]:
             yield from _of_page(name, source)
         elif name.endswith(".py"):
             yield from _of_module(name, ast.parse(source))
+            yield from _of_comments(name, source)
 
 
 def tracked() -> list[str]:
@@ -109,7 +120,9 @@ def _of_page(name: str, source: str) -> Iterator[Text]:
             yield Text(name, begun, " ".join(paragraph))
             paragraph = []
         if plain.startswith("|") and not in_code:
-            for cell in plain.strip("|").split("|"):
+            cells = plain.strip("|").split("|")
+            # The last column of the glossary has the words that are not used.
+            for cell in cells[:2] if name == "docs/glossary.md" else cells:
                 yield Text(name, number, cell.strip())
         if ends:
             continue
@@ -122,12 +135,28 @@ def _of_module(name: str, tree: ast.Module) -> Iterator[Text]:
     for node in ast.walk(tree):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
             if (docstring := ast.get_docstring(node)) is not None:
-                yield Text(name, node.body[0].lineno, docstring, docstring=True)
+                yield Text(name, node.body[0].lineno, docstring, "docstring")
         elif isinstance(node, ast.keyword) and node.arg in ("help", "description"):
             yield Text(name, node.value.lineno, _literal(node.value))
         elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
             for argument in node.exc.args:
                 yield Text(name, argument.lineno, _literal(argument))
+
+
+def _of_comments(name: str, source: str) -> Iterator[Text]:
+    """The comments, those of successive lines as one."""
+    found: list[tuple[int, int, int, str]] = []  # first line, last line, column, words
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            (line, column), words = token.start, token.string.lstrip("#: ")
+            if found and found[-1][1:3] == (line - 1, column):
+                first, _, _, before = found.pop()
+                found.append((first, line, column, f"{before} {words}"))
+            else:
+                found.append((line, line, column, words))
+    for first, _, _, words in found:
+        if not words.startswith(("noqa", "type:")):
+            yield Text(name, first, words, "comment")
 
 
 def _literal(node: ast.AST) -> str:

@@ -25,7 +25,7 @@ STANDING, WALKING = "balance", "walk"
 _TWICE = 10
 _RANK_DELIVERY = 0
 
-# Turns one message into those that arrive, each with its delay [ns].
+# Turns a sent message into the arriving messages, each with its delay [ns].
 Disturb = Callable[[Delivery], Iterator[tuple[int, Delivery]]]
 
 

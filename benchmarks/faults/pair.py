@@ -19,7 +19,7 @@ _SESSION = 5
 # More than sessions can wait at an edge.
 _MAX_ANSWERS = 16
 
-# Turns a message into those that arrive in its place, in order.
+# Turns a sent message into the arriving messages, in order.
 Arrive = Callable[[bytes], list[bytes]]
 
 

@@ -64,7 +64,7 @@ class ComPlan:
         self.segments = tuple(segments)
         self.omega = omega
         self._begins = [segment.begin for segment in self.segments]
-        # Of the pendulum.
+        # The height of the pendulum [m].
         height = GRAVITY / omega**2
         xi_ends = [capture_point]
         for segment in reversed(self.segments[1:]):

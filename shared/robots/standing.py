@@ -199,7 +199,7 @@ def _suggested(robot: Robot, side: Foot) -> str:
     foot = next(each for each in robot.description.feet if each.side is side)
     written = pin.rpy.rpyToMatrix(*foot.rotation)
     in_world = placements(robot)[side].rotation
-    # World from sole is world from carrier, times what is written now.
+    # World from sole is world from carrier, times the present placement in the file.
     carrier = in_world @ written.T
     angles = pin.rpy.matrixToRpy(carrier.T)
     return "[" + ", ".join(f"{angle + 0.0:.5g}" for angle in np.round(angles, 5)) + "]"

@@ -265,8 +265,8 @@ class Stack:
     def contact_violation(self, velocity: np.ndarray, acceleration: np.ndarray) -> float:
         """‖J_c a + J̇_c v‖ of the support foot without the contact damping term [m/s²].
 
-        From the sole's motion (6,) each. The damping that the contact rows ask for is wanted, so it
-        is not counted as a violation.
+        It is computed from the velocity and the acceleration of the sole, (6,) each. The damping
+        that the contact rows ask for is wanted, so it is not counted as a violation.
         """
         violation = acceleration + self.contact_damping * velocity
         return math.sqrt(violation.dot(violation))

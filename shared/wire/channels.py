@@ -21,10 +21,10 @@ class Channel:
 
 UPLINK = Channel(name="uplink", key="wbc/{robot}/state", rate_hz=1000, max_bytes=1_000)
 DOWNLINK = Channel(name="downlink", key="wbc/{robot}/projector", rate_hz=1000, max_bytes=40_000)
-# Plans and step laws have a key of their own, so that they never queue behind projectors.
+# Plans and step laws have a separate key, so that they never queue behind projectors.
 PLANS = Channel(name="plans", key="wbc/{robot}/plan", rate_hz=50, max_bytes=4_000)
 
-# Telemetry runs on a session of its own and never crosses the link under test.
+# Telemetry runs on a separate session and never crosses the link under test.
 TICKS_KEY = "telemetry/{robot}/ticks"
 LINK_KEY = "telemetry/netem/link"
 SOLVES_KEY = "telemetry/edge/solves"

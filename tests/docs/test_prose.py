@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import pytest
 
-from tests.prose import MAX_WORDS, Text, findings
+from tests.prose import MAX_WORDS, Text, _of_comments, findings
 
 
-def advice(words: str, *, docstring: bool = False) -> list[str]:
-    return [each.advice for each in findings(Text("page.md", 1, words, docstring))]
+def advice(words: str, kind: Literal["docstring", "comment", "other"] = "other") -> list[str]:
+    return [each.advice for each in findings(Text("page.md", 1, words, kind))]
 
 
 @pytest.mark.parametrize(
@@ -20,7 +22,7 @@ def advice(words: str, *, docstring: bool = False) -> list[str]:
     ],
 )
 def test_a_docstring_begins_with_a_verb_or_a_noun(words: str, found: str) -> None:
-    assert advice(words, docstring=True) == [found]
+    assert advice(words, "docstring") == [found]
     assert advice(words) == []
 
 
@@ -32,9 +34,31 @@ def test_a_clause_that_stands_for_a_name_is_found(words: str) -> None:
     assert len(advice(words)) == 1
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "The foot in the air lands.",
+        "The capture point.",
+        "Until the robot's begin.",
+        "The stall ends.",
+    ],
+)
+def test_a_second_word_for_a_thing_of_the_glossary_is_found(words: str) -> None:
+    assert len(advice(words)) == 1
+
+
+def test_comments_of_successive_lines_are_one_text() -> None:
+    source = "# What ns-3 calls\n# a size.\na = 1  # the size\n# noqa: E501\n"
+    first, second = _of_comments("a.py", source)
+    assert (first.words, first.line) == ("What ns-3 calls a size.", 1)
+    assert second.words == "the size"
+    assert advice(first.words, "comment") == ["begin with a verb or a noun"]
+    assert advice("Whether it lands.", "comment") == []
+
+
 @pytest.mark.parametrize("words", ["the colour of the centre", "`what is sent` is a name", "a = b"])
 def test_plain_words_and_code_pass(words: str) -> None:
-    assert advice(words, docstring=True) == []
+    assert advice(words, "docstring") == []
 
 
 def test_a_long_sentence_is_found_by_its_words() -> None:
