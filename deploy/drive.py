@@ -93,7 +93,7 @@ class Hand:
 def drive(client: StackClient) -> None:
     """Drive until Ctrl-C, and then let the robot stand."""
     if not has_keys():
-        raise ConfigError("drive: expected a terminal for its keys; try drive 0.2 0 0")
+        raise ConfigError("drive: expected a terminal for its keys, got none; try drive 0.2 0 0")
     hand, gamepad = Hand(), Gamepad()
     sent, sent_at = _STOP, -1e9
     with each_key(), _opened_gamepad() as joystick:

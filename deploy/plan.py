@@ -212,7 +212,7 @@ def _listening(
     if options.listen is not None and here[-1].name not in listens:
         raise ConfigError(
             f"listen: expected no --listen, because {here[-1].name} dials and no service here "
-            "waits for another machine; leave it out"
+            f"waits for another machine, got {options.listen}; leave it out"
         )
     return listens
 

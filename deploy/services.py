@@ -126,7 +126,7 @@ def _service(name: str, defaults: dict[str, Any], own: Any) -> Service:
             raise ConfigError(f"services: {name}: {one_of(fields, key, expected='some of')}")
     for key in fields:
         if key not in table:
-            raise ConfigError(f"services: {name}: expected {key}, here or in [defaults]")
+            raise ConfigError(f"services: {name}: expected {key}, here or in [defaults], got none")
     for key in ("command", "after", "takes"):
         is_list = isinstance(table[key], list) and all(isinstance(e, str) for e in table[key])
         _check(name, key, table[key], is_list, "a list of strings")

@@ -36,7 +36,8 @@ _ROUNDING = 1e-5
 _CLIMB, _LIFT = 0.15, 0.3
 # The largest distance of a plan's CoPs and DCMs from a foot [m].
 _FARTHEST = 1.0
-# The largest ratio of a law's values to the robot's own ones, and their largest difference.
+# A law's values are at most the robot's own times this factor, plus this difference, and the other
+# way round.
 _FACTOR, _APART = 2.0, 0.01
 _GRIDS = ("times", "footholds_x", "footholds_y", "cops_x", "cops_y", "offsets")
 _VALUES = ("values_x", "values_y", "going_on_x", "going_on_y")

@@ -73,7 +73,7 @@ def rerun_binary() -> Path:
     for name in _BINARIES:
         if (folder / name).is_file():
             return folder / name
-    raise UserError(f"rerun: expected its executable in {folder}; reinstall rerun-sdk")
+    raise UserError(f"rerun: expected its executable in {folder}, got none; reinstall rerun-sdk")
 
 
 def free_port(preferred: int = 0) -> int:
