@@ -166,8 +166,8 @@ class PlantConfig:
 class SensorConfig:
     """Errors of the robot's measurements.
 
-    Noise is Gaussian and new in each tick. The bias is the same throughout a run, drawn from the
-    seed with this standard deviation. The drift is a random walk.
+    Noise is Gaussian and new in each tick. The seed draws the bias of a run, with the setting as
+    its standard deviation. The drift is a random walk.
     """
 
     joint_position_noise: float = setting(
