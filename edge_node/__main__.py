@@ -177,7 +177,9 @@ def _serve_commands(
 
     def carry_out(command: Command) -> Accepted:
         if not isinstance(command, EdgeCommand):
-            raise ConfigError(f"{command}: expected a command for the edge; send it to the robot")
+            raise ConfigError(
+                f"{command}: expected a command for the edge, got one for another service"
+            )
         if len(robots) > 1:
             raise ConfigError(f"{command}: expected an edge of one robot, got {len(robots)}")
         # A velocity that is given again is an event, since it holds for a while only.

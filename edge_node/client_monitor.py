@@ -59,13 +59,14 @@ class ClientMonitor:
         if shared > self._shared:
             self._shared = shared
             lines.append(
-                "two robots send states under this name; each gets its answers, and neither can "
-                "be told from the other; start one of them with another --name"
+                "two robots send states under this name, and cannot be told apart; each gets its "
+                "answers; start one of them with another --name"
             )
         if renewed > self._renewed:
             if self._renewed == 0:
                 lines.append(
-                    "a state from far ahead was followed by stale ones only; goes on with those"
+                    "after a state from far ahead only earlier ones came; the edge now answers "
+                    "those"
                 )
             self._renewed = renewed
         return lines

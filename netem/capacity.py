@@ -162,7 +162,7 @@ def _of_way(profile: DelayProfile, way: int) -> np.ndarray:
     if not isinstance(size, int | float) or not size > 0:
         raise ProfileError(
             f"profile {profile.name}: expected {DIRECTIONS[way]}_capacity_bytes, or how many bytes "
-            f"the recorded messages had ({_SIZES[way][0]} in its metadata); it has neither"
+            f"the recorded messages had ({_SIZES[way][0]} in its metadata), got neither"
         )
     delivered = profile.columns.get(_DELIVERED[way])
     return _behind(profile.delays_ns[way], float(size), delivered, profile.period_ns)

@@ -87,7 +87,9 @@ def _config(arguments: argparse.Namespace) -> RunConfig:
     if not MIN_MTU <= arguments.mtu <= MAX_MTU:
         raise ConfigError(f"--mtu: expected {MIN_MTU} to {MAX_MTU}, got {arguments.mtu}")
     if arguments.robot_ns == arguments.edge_ns:
-        raise ConfigError(f"--edge-ns: expected a name other than --robot-ns, {arguments.edge_ns}")
+        raise ConfigError(
+            f"--edge-ns: expected a name other than --robot-ns, got {arguments.edge_ns} for both"
+        )
     config = link_config_from(arguments, direct="direct means no link to emulate; try constant:0ms")
     # The configured sizes are sizes of messages. A packet counts with its real size.
     link = dataclasses.replace(config.link, uplink_bytes=0, downlink_bytes=0)

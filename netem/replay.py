@@ -72,7 +72,9 @@ def _serve_commands(hub: ZenohBus, shim: Shim, script: Sequence[CommandEvent]) -
 
     def carry_out(command: Command) -> Accepted:
         if not isinstance(command, LinkCommand):
-            raise ConfigError(f"{command}: expected a command for the link; send it to the robot")
+            raise ConfigError(
+                f"{command}: expected a command for the link, got one for another service"
+            )
         return times.carried_out(command, shim.change(command, profile_of(command)))
 
     CommandServer(hub, LINK_COMMANDS_KEY, carry_out)

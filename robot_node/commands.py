@@ -79,7 +79,9 @@ class RobotCommands:
 
     def _carry_out(self, command: Command, *, at_ns: int = 0) -> Accepted:
         if isinstance(command, LinkCommand | EdgeCommand):
-            raise ConfigError(f"{command}: expected a command for the robot, not link or edge")
+            raise ConfigError(
+                f"{command}: expected a command for the robot, got one for the link or the edge"
+            )
         if not self._loop.progress.running:
             raise LinkError(f"{command}: the task has not begun yet; try again")
         if self._node.fallen and not isinstance(command, Reset):

@@ -134,8 +134,8 @@ def _leg(robot: Robot, side: Foot, contact: dict[str, Any]) -> list[tuple[int, X
     model, radii = robot.model, robot.description.leg_radii
     if radii is None:
         raise ConfigError(
-            f"plant.leg_collision: expected a robot file with leg_radii, that of {robot.name} has "
-            "none; add them, or try false"
+            f"plant.leg_collision: expected a robot file with leg_radii, got that of {robot.name} "
+            "without; add them, or try false"
         )
     links: list[tuple[int, np.ndarray]] = []
     joint = robot.sole_frame(side).parentJoint

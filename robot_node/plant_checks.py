@@ -47,14 +47,14 @@ def _state_comes_back(make: Make, robot: Robot, timestep: float) -> Iterator[str
         elif not np.allclose(got, expected, atol=1e-9):
             k = int(np.abs(got - expected).argmax())
             yield (
-                f"expected state() to return what set_state took, {name}[{k}] is {got[k]:.4g} "
-                f"instead of {expected[k]:.4g}; the base's quaternion is x, y, z, w, and the order "
-                "of joints that of the robot's model"
+                f"expected state() to return the state that was set, {name}[{k}] = "
+                f"{expected[k]:.4g}, got {got[k]:.4g}; the base's quaternion is x, y, z, w, and "
+                "the order of joints that of the robot's model"
             )
     before = plant.state()[0].copy()
     got_q += 1.0
     if not np.array_equal(plant.state()[0], before):
-        yield "expected a copy from state(), a change of it changes the plant; return copies"
+        yield "expected copies from state(), got arrays whose change moves the plant; return copies"
 
 
 def _moves_as_its_velocity(make: Make, robot: Robot, timestep: float) -> Iterator[str]:
@@ -73,9 +73,9 @@ def _moves_as_its_velocity(make: Make, robot: Robot, timestep: float) -> Iterato
         if not miss <= allowed:
             k = int(np.abs(moved - (v0 + v1) / 2).argmax())
             yield (
-                f"expected q to move by v in a timestep of {timestep:g} s, at tick {tick} v[{k}] "
-                f"is {v1[k]:.4g} and q moved at {moved[k]:.4g}; v has the base's velocities in the "
-                "base frame, linear then angular"
+                f"expected q to move by v in a timestep of {timestep:g} s, got v[{k}] = "
+                f"{v1[k]:.4g} and a motion of q at {moved[k]:.4g} in tick {tick}; v has the base's "
+                "velocities in the base frame, linear then angular"
             )
             return
 
@@ -85,7 +85,7 @@ def _stands(make: Make, robot: Robot, timestep: float) -> Iterator[str]:
     fall = float(robot.q_standing[2] - plant.state()[0][2])
     if not abs(fall) < 0.01:
         yield (
-            f"expected the robot to stand for {_SETTLED} ticks, its base fell by {fall:.3f} m; are "
+            f"expected the robot to stand for {_SETTLED} ticks, got a fall by {fall:.3f} m; are "
             "the torques applied, and is the floor at z = 0?"
         )
 
@@ -112,7 +112,7 @@ def _takes_a_push(make: Make, robot: Robot, timestep: float) -> Iterator[str]:
         if not moved[axis] > 0.0 or abs(moved[1 - axis]) > moved[axis]:
             yield (
                 f"expected a push along {names[axis]} of the world to move the base along "
-                f"{names[axis]}, it changed its velocity by {np.round(moved, 5).tolist()} m/s"
+                f"{names[axis]}, got a change of velocity of {np.round(moved, 5).tolist()} m/s"
             )
 
 
@@ -128,8 +128,8 @@ def _obeys_torques(make: Make, robot: Robot, timestep: float) -> Iterator[str]:
         moved = (_joint_velocities(plant, robot, more) - at_rest)[joint]
         if not moved > 0.0:
             yield (
-                f"expected a torque on {model.names[joint + 2]} to accelerate that joint, its "
-                f"velocity changed by {moved:.4g} rad/s; check the order and the signs of motors"
+                f"expected a torque on {model.names[joint + 2]} to accelerate that joint, got a "
+                f"change of velocity of {moved:.4g} rad/s; check the order and the signs of motors"
             )
 
 
@@ -143,14 +143,14 @@ def _repeats_itself(make: Make, robot: Robot, timestep: float) -> Iterator[str]:
         ends.append(plant.state()[0])
     if not np.array_equal(ends[0], ends[1]):
         yield (
-            "expected the same state after the same steps, it differs by "
-            f"{np.abs(ends[0] - ends[1]).max():.2g}; set_state has to reset all that the plant "
-            "remembers, as warm starts"
+            "expected the same state after the same steps, got a difference of "
+            f"{np.abs(ends[0] - ends[1]).max():.2g}; set_state has to reset the whole "
+            "memory of the plant, also warm starts"
         )
 
 
 CHECKS: dict[str, Check] = {
-    "state() returns copies of what set_state took": _state_comes_back,
+    "state() returns copies of the state that was set": _state_comes_back,
     "q moves by v, in Pinocchio's convention": _moves_as_its_velocity,
     "the robot stands while it holds its joints": _stands,
     "contact forces bear the weight": _bears_its_weight,

@@ -52,7 +52,7 @@ def _check_claims(data: io.BytesIO, at_most: int) -> None:
                 n_bytes = math.prod(shape) * kind.itemsize
                 if n_bytes > info.file_size or info.file_size > at_most:
                     raise ValueError(
-                        f"{info.filename} claims {n_bytes:.4g} bytes and has {info.file_size:.4g}; "
-                        f"expected as many, and at most {at_most:.4g}"
+                        f"{info.filename}: expected the claimed {n_bytes:.4g} bytes, and at most "
+                        f"{at_most:.4g}, got {info.file_size:.4g}"
                     )
     data.seek(0)

@@ -36,6 +36,8 @@ PHRASES = {
     r"\b(?:color|behavior|center|neighbor|meter)s?\b": "British: colour, behaviour, centre …",
     r"\b\w+(?:ptimiz|actoriz|ormaliz|inimiz|aximiz|ynchroniz|ecogniz)\w*\b": "British: -ise",
 }
+# The value that came, or a computed text that may have it.
+_GOT = re.compile(r"\b(?:got|found)\b|…[;:)]?$|, …;")
 # Words that begin a comment in which a clause stands for the thing.
 LOOSE = {"What", "Whatever", "How", "Of", "Which"}
 # Prose of other people, and results that commands write.
@@ -49,7 +51,7 @@ class Text:
     file: str
     line: int
     words: str
-    kind: Literal["docstring", "comment", "other"] = "other"
+    kind: Literal["docstring", "comment", "error", "other"] = "other"
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,8 @@ def findings(text: Text) -> Iterator[Finding]:
     for pattern, advice in PHRASES.items():
         for found in re.finditer(pattern, words, re.IGNORECASE):
             yield Finding(text, advice, _short(words[max(0, found.start() - 30) :]))
+    if text.kind == "error" and "expected" in words and not _GOT.search(words):
+        yield Finding(text, "say what came: got …", _short(words))
     for sentence in _sentences(words):
         count = len(sentence.split())
         if count > MAX_WORDS:
@@ -140,7 +144,7 @@ def _of_module(name: str, tree: ast.Module) -> Iterator[Text]:
             yield Text(name, node.value.lineno, _literal(node.value))
         elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
             for argument in node.exc.args:
-                yield Text(name, argument.lineno, _literal(argument))
+                yield Text(name, argument.lineno, _literal(argument), "error")
 
 
 def _of_comments(name: str, source: str) -> Iterator[Text]:

@@ -136,8 +136,8 @@ def an_archive(shape: tuple[int, ...], n_bytes: int = 0) -> Callable[[Path], obj
 
 
 BAD_PROFILES = {
-    "a claim of much": (an_archive((2**45,)), "claims 2.815e+14 bytes"),
-    "a claim of more than there is": (an_archive((1000, 1000)), "claims 8e+06 bytes"),
+    "a claim of much": (an_archive((2**45,)), "expected the claimed 2.815e+14 bytes"),
+    "a claim of more than there is": (an_archive((1000, 1000)), "expected the claimed 8e+06 bytes"),
     "a claim of less than nothing": (an_archive((-5,)), "expected arrays"),
     "much, packed": (an_archive((25_000_000,), 200_000_000), "and at most 1.6e+08"),
     "no archive": (text("PK"), "expected arrays uplink_us and downlink_us"),
@@ -270,8 +270,8 @@ def test_what_the_machine_refuses_is_one_line(error, expected: str, capsys):
 @pytest.mark.parametrize(
     ("limit", "value", "expected"),
     [
-        (resource.RLIMIT_NOFILE, 20, "at least 100 open files, it is 20; raise it: ulimit -n 1024"),
-        (resource.RLIMIT_AS, 1 << 30, "at least 2 GiB of address space, it is 1; raise it"),
+        (resource.RLIMIT_NOFILE, 20, "at least 100 open files, got 20; raise it: ulimit -n 1024"),
+        (resource.RLIMIT_AS, 1 << 30, "at least 2 GiB of address space, got 1; raise it"),
     ],
 )
 def test_limits_under_which_no_session_works(limit, value, expected, monkeypatch):

@@ -157,7 +157,7 @@ def _check_finite(schema: Schema, rows: np.ndarray, names: Iterable[str]) -> Non
     """Raise `ValueError` if a column has a value that is impossible for a clock or a count."""
     for name in names:
         if not np.all(np.abs(schema.column(rows, name)) < _LIMIT):
-            raise ValueError(f"{name}: expected finite numbers")
+            raise ValueError(f"{name}: expected finite numbers, got others")
     if "source" in schema.slices:
         for source in np.unique(schema.column(rows, "source")):
             Source(source)

@@ -69,7 +69,7 @@ def median_interval(values: Sequence[float], *, confidence: float = 0.95) -> Med
     in as that bound.
     """
     if not values:
-        raise ValueError("expected at least one value")
+        raise ValueError("expected at least one value, got none")
     ordered, n = sorted(values), len(values)
     k = 1
     while 2 * (k + 1) <= n + 1 and _coverage(k + 1, n) >= confidence:

@@ -40,7 +40,7 @@ def files_by_way(
     if len(inputs) not in (1, 2):
         raise ProfileError(
             f"convert: expected IN [IN2] OUT, got {len(inputs)} files to read; give one file of "
-            "both ways, or uplink and downlink"
+            "both directions, or uplink and downlink"
         )
     ways = [way_in_name(path) for path in inputs]
     if len(inputs) == 2:
@@ -84,7 +84,8 @@ def read_both_ways(
             for path, part in zip(paths, parts, strict=True):
                 if None not in part.ways:
                     raise ProfileError(
-                        f"{path}: expected a file of one way, got one of both; give it alone"
+                        f"{path}: expected a file of one direction, got both directions; give it "
+                        "alone"
                     )
             _expect_none(other_way)
             return _together(parts[0], parts[1]), None
@@ -109,7 +110,7 @@ def _completed(
     known = UPLINK if measured.ways[DOWNLINK] is None else DOWNLINK
     if other_way is None and not each.either_way:
         raise ProfileError(
-            f"{path}: expected both ways, got one; give the other way's file too (--uplink FILE "
+            f"{path}: expected both directions, got one; give the other file too (--uplink FILE "
             "--downlink FILE), or --other-way same or --other-way constant:5ms"
         )
     if other_way in (None, "same"):
@@ -124,7 +125,7 @@ def _completed(
         raise ConfigError(f"--other-way: expected same or constant:5ms, got {other_way!r}")
     if None in files:
         raise ProfileError(
-            f"{path}: expected a file of a known way, got a name that does not tell it; try "
+            f"{path}: expected a known direction, got a file name without one; try "
             f"--uplink {path.name} or --downlink {path.name}"
         )
     try:

@@ -120,10 +120,10 @@ def _matched(
         if alike and there and here and len(here) != len(there):
             flow = " > ".join(str(ipaddress.ip_address(end)) for end in near[here[0]].flow)
             raise ProfileError(
-                f"{files}: expected packets that differ, or as many in both, got {len(here)} and "
-                f"{len(there)} packets {flow} that are alike in all that both hold "
-                f"({_in_bytes(compared)}); capture whole packets (-s 0) on one interface each, or "
-                "leave out that flow"
+                f"{files}: expected different packets, or equal numbers of them in both, got "
+                f"{len(here)} and {len(there)} equal packets {flow} ({_in_bytes(compared)} "
+                "compared); capture whole packets (-s 0) on one interface each, or leave out that "
+                "flow"
             )
         pairs = zip(here, there, strict=False) if alike else _in_turn(near, here, far, there)
         for mine, other in pairs:

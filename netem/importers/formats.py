@@ -131,8 +131,8 @@ def _name(path: Path, options: Options) -> str:
     like = resemblance(content)
     advice = like or "--format says which, --columns names the columns of any other table"
     raise ProfileError(
-        f"{path}: expected one of {', '.join(each.name for each in FORMATS)}, and its content is "
-        f"like none; {advice}"
+        f"{path}: expected one of {', '.join(each.name for each in FORMATS)}, got other content; "
+        f"{advice}"
     )
 
 

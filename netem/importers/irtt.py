@@ -46,7 +46,7 @@ def read_irtt(path: Path, options: Options, direction: int) -> Measured:
     rows = [_row(path, k, trip) for k, trip in enumerate(trips)]
     sent = _sending_times(path, rows, interval)
     lost = np.array([row["lost"] for row in rows])
-    nowhere = "a packet lost no one knows where counts as lost on both ways"
+    nowhere = "a packet lost in an unknown direction counts as lost in both"
     notes = (*((nowhere,) if (lost == "true").any() else ()), *stepped_back_note(sent))
     one_way = all(row["lost"] != "false" or row["send"] is not None for row in rows)
     if one_way and options.clock != "half":

@@ -67,9 +67,9 @@ def read_mahimahi(path: Path, options: Options, direction: int) -> Measured:
         f"{options.queue_bytes} B, on top of {base * 1e-6:g} ms (--base-delay)"
     ]
     asked, carries = load.size * load.rate_hz * 8e-6, int(carried[-1]) / cycle * 8e-3
-    words = f"the load is {asked:.3g} Mbit/s, the trace carries {carries:.3g} Mbit/s in the mean"
+    words = f"the load is {asked:.3g} Mbit/s, the mean of the trace is {carries:.3g} Mbit/s"
     if asked > carries:
-        words = f"warning: {words}: the queue fills, and what it cannot hold is lost; ask for less"
+        words = f"warning: {words}: the queue fills and drops packets; try a smaller --load"
     notes.append(f"{name}: {words}")
     return one_way(direction, way, *notes, **{f"{name}_capacity_bytes": capacity})
 

@@ -125,7 +125,7 @@ def _receptions(path: Path, options: Options, direction: int, *, headless: bool)
         origins[size].append(times[-1])
     sendings = options.beside.get(path) or _sibling(path)
     if sendings is None:
-        note = f"{path.name}: only packets that arrived are in it: losses are not known"
+        note = f"{path.name}: has only the packets that arrived: losses are unknown"
         way = ordered(times, delays)
         return one_way(direction, replace(way, counts=(len(way.sent_ns), None)), note)
     sent = _sendings(sendings, options)
@@ -134,7 +134,7 @@ def _receptions(path: Path, options: Options, direction: int, *, headless: bool)
     end = max(end, *(max(each) for each in sent.values()))
     way = ordered([*times, *lost], [*delays, *lost], order)
     way, unfinished = without_unfinished(way, end)
-    note = f"{path.name}: what {sendings.name} sent and did not arrive is lost"
+    note = f"{path.name}: the packets of {sendings.name} that did not arrive are lost"
     return one_way(direction, way, note, *unfinished_note(unfinished))
 
 

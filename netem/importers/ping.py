@@ -204,7 +204,7 @@ def measured_pings(path: Path, options: Options, log: PingLog) -> Measured:
     else:
         if interval is None:
             interval = _SECOND
-            said = "no times in the log: pings taken to be 1 s apart; --interval says other"
+            said = "no times in the log: pings taken to be 1 s apart; --interval sets another time"
         if said:
             notes.append(said)
         check_span(path, int(numbers[-1] - numbers[0]) * interval, options.period_ns)
@@ -242,7 +242,7 @@ def _without_steps(
     shifts = np.append(0, np.cumsum(np.where(back, expected - passed, 0)))
     notes = [
         f"the clock was set back by {(expected[k] - passed[k]) * 1e-9:.3g} s before the ping "
-        f"number {known[k + 1]}: taken to go on"
+        f"number {known[k + 1]}: later times are shifted to go on"
         for k in np.flatnonzero(back)[:3]
     ]
     return times + shifts, notes

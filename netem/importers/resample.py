@@ -190,16 +190,16 @@ def _loss_notes(
     """Notes for the user on the treatment of lost packets, if it is a choice or may surprise."""
     sent, missing = way.counted[0], way.counted[1] or 0
     if lone_losses and missing:
-        yield "a lone lost packet stands for its own period only (--lone-loss)"
+        yield "a single lost packet stands for its own period only (--lone-loss)"
     elif (lost & empty).any():
         yield (
-            "a lost packet stands for the time until the next one; --lone-loss period gives one "
-            "that is lost alone its own period only"
+            "a lost packet stands for the time until the next one; with --lone-loss period a "
+            "single lost packet stands for its own period only"
         )
     if missing > 0.001 * sent and lost.mean() < missing / sent / 2:
         yield (
             "fewer periods than packets are lost, as a period is lost only with all its packets; "
-            "a shorter --period parts them"
+            "a shorter --period separates them"
         )
 
 

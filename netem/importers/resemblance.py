@@ -70,18 +70,19 @@ def resemblance(content: list[str]) -> str:
     numbers = [[_is_number(cell) for cell in row] for row in rows]
     if all(kinds == [True] for kinds in numbers):
         return (
-            f"it is one number a line: {_DELAYS_ALONE} if they are round trips in ms; a trace of "
-            "Mahimahi has times in whole ms, none before the last (--format mahimahi)"
+            f"it has one number per line: try {_DELAYS_ALONE} for round trips in ms; or --format "
+            "mahimahi for a trace of Mahimahi, with ascending times in whole ms"
         )
     if all(kinds == [True, True] for kinds in numbers):
         return (
-            "it is two columns of numbers: --format histogram if they are a low in ms and a count, "
-            f"--columns 'sent=1{_unit(rows[0][0])},rtt=2(ms)' if a time and a round trip"
+            "it has two columns of numbers: try --format histogram for the low of a bin in ms and "
+            f"its count; or --columns 'sent=1{_unit(rows[0][0])},rtt=2(ms)' for a time and a round "
+            "trip"
         )
     if all(len(row) == 2 and kinds[0] for row, kinds in zip(rows, numbers, strict=True)):
         return (
-            "it is numbers and a word each: beside the table of the other end, --columns "
-            f"'time=1{_unit(rows[0][0])},id=2' if they are times and what packets are known by"
+            "it has a number and a word per line: for the times and the ids of packets, give the "
+            f"table of the other end too, and try --columns 'time=1{_unit(rows[0][0])},id=2'"
         )
     for names, row in itertools.pairwise(rows):
         if flags := columns_by_names(names, row):

@@ -17,15 +17,15 @@ from shared.errors import ConfigError
 from shared.regular_file import read_regular
 
 _MAX_BYTES = 1_000_000
-_REMEDY = "copy it from where `wbc keys` made it"
+_REMEDY = "copy it from the folder that `wbc keys` made"
 
 
 def check_files(folder: Path, role: str) -> None:
     """Check that the files of a role belong together and are valid now; `ConfigError` if not."""
     if not folder.is_dir():
         raise ConfigError(
-            f"secure: expected a folder of certificates, {folder} is none; make them with "
-            f"{wbc(f'keys {folder}')}, or copy them from where they were made"
+            f"secure: expected a folder of certificates, got {folder}; make them with "
+            f"{wbc(f'keys {folder}')}, or copy them from the folder that `wbc keys` made"
         )
     authority = _load_certificate(certificate_file(folder, AUTHORITY))
     path = certificate_file(folder, role)
@@ -40,7 +40,7 @@ def check_files(folder: Path, role: str) -> None:
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     if [name.value for name in names] != [role]:
         raise ConfigError(
-            f"secure: expected {path} to name {role!r}, it names "
+            f"secure: expected {path} to name {role!r}, got "
             f"{certificate.subject.rfc4514_string()!r}; {_REMEDY}"
         )
     try:
@@ -60,12 +60,13 @@ def _load_certificate(path: Path) -> x509.Certificate:
     if now > certificate.not_valid_after_utc:
         raise ConfigError(
             f"secure: {path} expired on {certificate.not_valid_after_utc:%Y-%m-%d}; remove it and "
-            "its key where they were made, and make new ones with `wbc keys DIR --add`"
+            "its key from the folder that `wbc keys` made, and add new ones with `wbc keys DIR "
+            "--add`"
         )
     if now < certificate.not_valid_before_utc:
         raise ConfigError(
-            f"secure: {path} is valid from {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC, "
-            f"this machine's clock says {now:%Y-%m-%d %H:%M}; set the clock"
+            f"secure: {path} is valid from {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC "
+            f"on, got {now:%Y-%m-%d %H:%M} from this machine's clock; set the clock"
         )
     return certificate
 

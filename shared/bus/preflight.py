@@ -86,8 +86,8 @@ def _shake_hands(plain: socket.socket, host: str, endpoint: str, credentials: Cr
         except ssl.SSLError as error:
             reason = (error.reason or str(error)).lower().replace("_", " ")
             raise LinkError(
-                f"{endpoint} refuses the certificate of {credentials.role} ({reason}); expected "
-                "one signed by the same ca.crt on both machines, and both clocks right"
+                f"{endpoint} refuses the certificate of {credentials.role} ({reason}); give both "
+                "machines the same ca.crt and certificates signed by it, and set their clocks"
             ) from None
     return True
 

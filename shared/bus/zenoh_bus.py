@@ -277,7 +277,7 @@ def _check_limits() -> None:
         allowed, _ = resource.getrlimit(limit)
         if allowed != resource.RLIM_INFINITY and allowed < least:
             raise LinkError(
-                f"expected a limit of at least {least / unit:g} {name}, it is {allowed / unit:g}; "
+                f"expected a limit of at least {least / unit:g} {name}, got {allowed / unit:g}; "
                 f"raise it: {remedy}"
             )
 

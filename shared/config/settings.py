@@ -608,7 +608,7 @@ class RunConfig:
         ):
             raise ConfigError(
                 "plant.kind: expected mujoco on a ground that is not flat, because the rigid plant "
-                "has no other ground, got 'rigid'"
+                "has flat ground only, got 'rigid'"
             )
         if self.stepping.mode != "off":
             self._check_stepping()

@@ -204,7 +204,7 @@ def read_ground(path: Path) -> Ground:
         if ground.height(0.0, 0.0) != 0.0 or not ground.is_level(around):
             raise ValueError(
                 f"heights: expected level ground of height 0 within {_START[0]:g} m of the origin "
-                f"along x and {_START[1]:g} m along y, where the robot begins"
+                f"along x and {_START[1]:g} m along y, where the robot begins, got other ground"
             )
     except OSError as error:
         raise ConfigError(f"ground {path}: cannot read it: {error.strerror}") from None
@@ -233,7 +233,9 @@ def _checked(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, float, tuple[fl
         raise ValueError(f"origin: expected two coordinates [m], got {origin}")
     z = np.where(np.isnan(heights.astype(float)), HOLE, heights.astype(float))
     if not (np.abs(z) <= _MAX_HEIGHT).all():
-        raise ValueError(f"heights: expected at most ±{_MAX_HEIGHT:g} m, or NaN for a hole")
+        raise ValueError(
+            f"heights: expected at most ±{_MAX_HEIGHT:g} m, or NaN for a hole, got more"
+        )
     x, y = origin.tolist()
     return z, float(cell.ravel()[0]), (x, y)
 

@@ -69,7 +69,7 @@ def _triangles(shape: Any, *, what: str) -> np.ndarray:
         mesh = trimesh.creation.capsule(2.0 * geometry.halfLength, geometry.radius, count=(64, 64))
     else:
         raise ConfigError(
-            f"{what}: expected meshes, boxes, spheres, cylinders or capsules, {shape.name} is a "
+            f"{what}: expected meshes, boxes, spheres, cylinders or capsules, got {shape.name}, a "
             f"{type(geometry).__name__}; try sole = {{ x = […], y = […] }}"
         )
     return np.asarray(mesh.triangles, dtype=float)

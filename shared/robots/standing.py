@@ -42,13 +42,13 @@ def sole_axes(robot: Robot) -> Iterator[str]:
         if R[2, 2] < 1.0 - _TILT or R[0, 0] < 1.0 - _AHEAD:
             axes = f"x {_direction(R[:, 0])} and z {_direction(R[:, 2])}"
             yield (
-                f"expected a sole frame with {forward}, that of the {side.value} foot has {axes}; "
+                f"expected a sole frame with {forward}, got {axes} at the {side.value} foot; "
                 f"try feet.{side.value}.rotation = {_suggested(robot, side)}"
             )
         elif math.hypot(R[2, 0], R[2, 1]) > _TILT:
             tilt = math.degrees(math.asin(min(1.0, math.hypot(R[2, 0], R[2, 1]))))
             yield (
-                f"expected a level sole, that of the {side.value} foot is tilted by {tilt:.2g}°; "
+                f"expected a level sole, got a tilt of {tilt:.2g}° at the {side.value} foot; "
                 f"change the angles of the ankle, or try feet.{side.value}.rotation = "
                 f"{_suggested(robot, side)}"
             )
@@ -58,7 +58,7 @@ def feet_on_their_sides(robot: Robot) -> Iterator[str]:
     """Yield a fault if the left foot is not to the left of the right one, or both are one."""
     left, right = (placements(robot)[side] for side in (Foot.LEFT, Foot.RIGHT))
     if robot.sole_frame(Foot.LEFT).parentJoint == robot.sole_frame(Foot.RIGHT).parentJoint:
-        yield "expected two feet, feet.left and feet.right are on the same joint"
+        yield "expected two feet, got feet.left and feet.right on one joint; correct one of them"
     elif left.translation[1] <= right.translation[1]:
         yield (
             f"expected the left foot on the left (y), got it at {left.translation[1]:.3f} m and "
@@ -75,7 +75,7 @@ def soles_below(robot: Robot) -> Iterator[str]:
     if apart > _HEIGHT:
         lower = min(heights, key=lambda side: heights[side])
         yield (
-            f"expected both soles at one height, the {lower.value} one is {apart:.3f} m lower; "
+            f"expected both soles at one height, got the {lower.value} one {apart:.3f} m lower; "
             "bend both legs alike, or correct the translations of the feet"
         )
     data = robot.model.createData()
@@ -84,7 +84,7 @@ def soles_below(robot: Robot) -> Iterator[str]:
         below = float(data.oMi[joint].translation[2])
         if below < 0.0:
             yield (
-                f"expected the soles below all joints, joint {robot.model.names[joint]} is "
+                f"expected the soles below all joints, got joint {robot.model.names[joint]} "
                 f"{-below:.3f} m below them; correct the translations of the feet, or the base of "
                 "the posture"
             )
@@ -126,8 +126,9 @@ def torque_margin(robot: Robot) -> Iterator[str]:
     ):
         if abs(torque) >= limit:
             yield (
-                f"expected a joint {name} that can hold the posture, it needs {abs(torque):.3g} "
-                f"of {limit:.3g} N m; straighten the posture, or correct its limit in the URDF"
+                f"expected a joint {name} that can hold the posture, got a need of "
+                f"{abs(torque):.3g} of {limit:.3g} N m; straighten the posture, or correct its "
+                "limit in the URDF"
             )
 
 

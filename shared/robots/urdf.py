@@ -107,11 +107,11 @@ def one_tree(urdf: Urdf) -> Iterator[str]:
     for joint in urdf.joints:
         for link in (joint.parent, joint.child):
             if link not in urdf.masses:
-                yield f"expected a link of the URDF, joint {joint.name} names {link!r}"
+                yield f"expected a link of the URDF, got {link!r} in joint {joint.name}"
         if joint.child in parents:
             yield (
-                f"expected a tree, link {joint.child} closes a loop by joint {joint.name}, beside "
-                f"{parents[joint.child].name}; remove one of them"
+                f"expected a tree, got link {joint.child} below two joints, "
+                f"{parents[joint.child].name} and {joint.name}; remove one of them"
             )
         parents[joint.child] = joint
     roots = [link for link in urdf.masses if link not in parents]
@@ -125,22 +125,22 @@ def one_tree(urdf: Urdf) -> Iterator[str]:
 def hinges(urdf: Urdf) -> Iterator[str]:
     """Yield the joints that are no hinges with a range, and the joints that mimic another one."""
     if not urdf.moving:
-        yield "expected a URDF with hinges, all its joints are fixed"
+        yield "expected a URDF with hinges, got fixed joints only"
     for joint in urdf.moving:
         if joint.mimics is not None:
             yield (
-                f"expected independent joints, joint {joint.name} mimics {joint.mimics}; make it "
-                "fixed in the URDF"
+                f"expected independent joints, got {joint.name}, which mimics {joint.mimics}; make "
+                "it fixed in the URDF"
             )
         elif joint.kind != "revolute":
             yield (
-                f"expected hinges with limits, joint {joint.name} is {joint.kind or 'of no type'}; "
-                "make it revolute with a range, or fixed"
+                f"expected hinges with limits, got {joint.name}, which is "
+                f"{joint.kind or 'of no type'}; make it revolute with a range, or fixed"
             )
         elif not -math.inf < joint.lower < joint.upper < math.inf:
             yield (
-                f"expected a range of angles, joint {joint.name} has lower {joint.lower:g} and "
-                f"upper {joint.upper:g}; write its limits into the URDF [rad]"
+                f"expected a range of angles, got lower {joint.lower:g} and upper {joint.upper:g} "
+                f"at joint {joint.name}; write its limits into the URDF [rad]"
             )
 
 
@@ -154,8 +154,8 @@ def efforts(urdf: Urdf) -> Iterator[str]:
             if not 0.0 < value < math.inf:
                 got = "none" if math.isnan(value) else f"{value:g}"
                 yield (
-                    f"expected a finite positive {name} limit, joint {joint.name} has {got}; write "
-                    f"that of its motor into the URDF [{unit}]"
+                    f"expected a finite positive {name} limit, got {got} at joint {joint.name}; "
+                    f"write that of its motor into the URDF [{unit}]"
                 )
 
 
@@ -163,11 +163,11 @@ def masses(urdf: Urdf) -> Iterator[str]:
     """Yield the links that move by themselves and have no positive mass."""
     for link, mass in urdf.masses.items():
         if mass < 0.0 or math.isnan(mass) or mass == math.inf:
-            yield f"expected a finite mass of at least 0, link {link} has {mass:g} kg"
+            yield f"expected a finite mass of at least 0, got {mass:g} kg at link {link}"
     for joint in urdf.moving:
         mass = urdf.carried(joint.child)
         if mass == 0.0:
             yield (
-                f"expected a mass above 0, link {joint.child}, which joint {joint.name} moves, has "
-                "none; give it an inertial in the URDF, or make the joint fixed"
+                f"expected a mass above 0, got none at link {joint.child}, which joint "
+                f"{joint.name} moves; give it an inertial in the URDF, or make the joint fixed"
             )

@@ -34,8 +34,8 @@ def begin_life(run: Path, stem: str) -> None:
     """
     if is_locked(run / f"{stem}.rows"):
         raise ConfigError(
-            f"out: expected a folder for this {stem} alone, in {run} another one writes its files; "
-            "end it, or try another --out"
+            f"out: expected a folder for this {stem} alone, got {run}, to which another one "
+            "writes; end it, or try another --out"
         )
     earlier = [_number(name, stem) for name in lives(run, stem) if name != stem]
     number = 1 + round(max(earlier, default=0))

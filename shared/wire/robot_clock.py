@@ -59,4 +59,6 @@ def decode_clock(data: bytes) -> ClockReading:
             raise ValueError
         return ClockReading(monotonic_ns, own_ns, float(speed), int(now_ns), int(task_ns))
     except _UNREADABLE:
-        raise MessageRefused("clock", "expected a reading of the robot's clock") from None
+        raise MessageRefused(
+            "clock", "expected a reading of the robot's clock, got another value"
+        ) from None

@@ -186,7 +186,7 @@ def test_a_certificate_of_tomorrow_says_to_set_the_clock(tmp_path: Path):
 def test_another_roles_certificate_under_this_name_is_refused(folder: Path):
     for suffix in ("crt", "key"):
         (folder / f"edge.{suffix}").write_bytes((folder / f"robot-talos.{suffix}").read_bytes())
-    assert "to name 'edge', it names 'CN=robot-talos'" in refusal(folder)
+    assert "to name 'edge', got 'CN=robot-talos'" in refusal(folder)
 
 
 def test_a_key_of_another_certificate_is_refused(folder: Path):

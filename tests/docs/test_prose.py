@@ -9,7 +9,9 @@ import pytest
 from tests.prose import MAX_WORDS, Text, _of_comments, findings
 
 
-def advice(words: str, kind: Literal["docstring", "comment", "other"] = "other") -> list[str]:
+def advice(
+    words: str, kind: Literal["docstring", "comment", "error", "other"] = "other"
+) -> list[str]:
     return [each.advice for each in findings(Text("page.md", 1, words, kind))]
 
 
@@ -45,6 +47,11 @@ def test_a_clause_that_stands_for_a_name_is_found(words: str) -> None:
 )
 def test_a_second_word_for_a_thing_of_the_glossary_is_found(words: str) -> None:
     assert len(advice(words)) == 1
+
+
+def test_an_error_says_what_came() -> None:
+    assert advice("seed: expected 0 or more; try 1", "error") == ["say what came: got …"]
+    assert advice("seed: expected 0 or more, got …; try 1", "error") == []
 
 
 def test_comments_of_successive_lines_are_one_text() -> None:

@@ -42,8 +42,8 @@ def test_all_faults_of_a_file_are_shown_and_nothing_is_played(tmp_path, capsys):
     assert check(write_biped(tmp_path, urdf=(limit, 'effort="0"'))) == 2
     said = capsys.readouterr().out
     assert said.count("FAIL") == 2
-    assert "joint left_knee has lower 0 and upper 0; write its limits" in said
-    assert "joint left_knee has 0; write that of its motor" in said
+    assert "got lower 0 and upper 0 at joint left_knee; write its limits" in said
+    assert "got 0 at joint left_knee; write that of its motor" in said
     assert "kg" not in said.splitlines()[-1]
 
 

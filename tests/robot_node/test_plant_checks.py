@@ -94,8 +94,8 @@ class Remembering(MujocoPlant):
     ("plant", "check", "message"),
     [
         (WorldVelocity, "q moves by v, in Pinocchio's convention", "velocities in the base frame"),
-        (ScalarFirst, "state() returns copies of what set_state took", "x, y, z, w"),
-        (Shared, "state() returns copies of what set_state took", "return copies"),
+        (ScalarFirst, "state() returns copies of the state that was set", "x, y, z, w"),
+        (Shared, "state() returns copies of the state that was set", "return copies"),
         (Unscaled, "contact forces bear the weight", "in newtons"),
         (OneFoot, "contact forces bear the weight", "for each foot"),
         (Turned, "a push moves the base in the world", "a push along x of the world"),

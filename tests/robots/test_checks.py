@@ -24,31 +24,31 @@ def _without_inertial(text):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (KNEE_LIMIT, KNEE_LIMIT.replace("180", "0"), "effort limit, joint left_knee has 0"),
-        (KNEE_LIMIT, KNEE_LIMIT.replace("180", "inf"), "effort limit, joint left_knee has inf"),
-        (KNEE_LIMIT, 'lower="0.0" upper="2.3"', "effort limit, joint left_knee has none"),
-        (KNEE_LIMIT, 'effort="180"', "range of angles, joint left_knee has lower 0 and upper 0"),
-        ('velocity="12"', 'velocity="0"', "velocity limit, joint left_hip_yaw has 0"),
+        (KNEE_LIMIT, KNEE_LIMIT.replace("180", "0"), "effort limit, got 0 at joint left_knee"),
+        (KNEE_LIMIT, KNEE_LIMIT.replace("180", "inf"), "effort limit, got inf at joint left_knee"),
+        (KNEE_LIMIT, 'lower="0.0" upper="2.3"', "effort limit, got none at joint left_knee"),
+        (KNEE_LIMIT, 'effort="180"', "range of angles, got lower 0 and upper 0 at joint left_knee"),
+        ('velocity="12"', 'velocity="0"', "velocity limit, got 0 at joint left_hip_yaw"),
         (
             'name="left_knee" type="revolute"',
             'name="left_knee" type="continuous"',
-            "hinges with limits, joint left_knee is continuous",
+            "hinges with limits, got left_knee, which is continuous",
         ),
         (
             'name="left_knee" type="revolute"',
             'name="left_knee" type="prismatic"',
-            "hinges with limits, joint left_knee is prismatic",
+            "hinges with limits, got left_knee, which is prismatic",
         ),
         (
             '<parent link="left_thigh"/>',
             '<mimic joint="left_hip_pitch"/><parent link="left_thigh"/>',
-            "joint left_knee mimics left_hip_pitch",
+            "got left_knee, which mimics left_hip_pitch",
         ),
         (
             "</robot>",
             '<joint name="bar" type="fixed"><parent link="left_thigh"/><child link="left_foot"/>'
             "</joint></robot>",
-            "link left_foot closes a loop by joint bar, beside left_ankle_roll",
+            "link left_foot below two joints, left_ankle_roll and bar",
         ),
         (
             "</robot>",
@@ -58,14 +58,14 @@ def _without_inertial(text):
         (
             '<parent link="left_thigh"/>',
             '<parent link="left_thig"/>',
-            "left_knee names 'left_thig'",
+            "'left_thig' in joint left_knee",
         ),
         (
             'mass value="2.4"',
             'mass value="0"',
-            "mass above 0, link left_shank, which joint left_kn",
+            "mass above 0, got none at link left_shank, which joint left_kn",
         ),
-        ('mass value="2.4"', 'mass value="-1"', "at least 0, link left_shank has -1 kg"),
+        ('mass value="2.4"', 'mass value="-1"', "at least 0, got -1 kg at link left_shank"),
         ("<robot name", "<robt name", "is not valid XML"),
     ],
 )
@@ -103,37 +103,37 @@ def _feet(left: str, right: str) -> tuple[str, str]:
                 'joint = "left_ankle_roll"\nsole = "collision"',
                 'joint = "left_ankle_roll"\nsole = "collision"',
             ),
-            "feet.left and feet.right are on the same joint",
+            "feet.left and feet.right on one joint",
         ),
         (
             _feet(
                 f'joint = "left_ankle_roll"\nrotation = [3.14159, 0, 0]\n{SOLE}',
                 f'joint = "right_ankle_roll"\n{SOLE}',
             ),
-            "that of the left foot has x forward and z down; try feet.left.rotation = [0, 0, 0]",
+            "got x forward and z down at the left foot; try feet.left.rotation = [0, 0, 0]",
         ),
         (
             _feet(
                 f'joint = "left_ankle_roll"\nrotation = [0, 0, 1.5708]\n{SOLE}',
                 f'joint = "right_ankle_roll"\n{SOLE}',
             ),
-            "that of the left foot has x left and z up",
+            "got x left and z up at the left foot",
         ),
         (
             _feet(
                 f'joint = "left_ankle_roll"\ntranslation = [0, 0, -0.07]\n{SOLE}',
                 f'joint = "right_ankle_roll"\ntranslation = [0, 0, -0.03]\n{SOLE}',
             ),
-            "both soles at one height, the left one is 0.040 m lower",
+            "both soles at one height, got the left one 0.040 m lower",
         ),
         (
             _feet(
                 f'joint = "left_ankle_roll"\ntranslation = [0, 0, 0.07]\n{SOLE}',
                 f'joint = "right_ankle_roll"\ntranslation = [0, 0, 0.07]\n{SOLE}',
             ),
-            "expected the soles below all joints, joint left_ankle_pitch is 0.070 m below",
+            "expected the soles below all joints, got joint left_ankle_pitch 0.070 m below",
         ),
-        (("left_ankle_pitch = -0.35", "left_ankle_pitch = -0.3"), "left foot is tilted by 2.9°"),
+        (("left_ankle_pitch = -0.35", "left_ankle_pitch = -0.3"), "tilt of 2.9° at the left foot"),
         (("left_knee = 0.7", "left_knee = -0.7"), "joint left_knee between 0 and 2.3 rad"),
         (
             _feet(

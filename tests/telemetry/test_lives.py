@@ -54,7 +54,7 @@ def test_a_process_that_lives_keeps_its_file(tmp_path: Path):
     log = RowLog(SCHEMA, path=tmp_path / "edge.rows")
     log.row()[0] = 7.0
     recover(tmp_path, "edge")
-    with pytest.raises(ConfigError, match="another one writes its files; end it, or try"):
+    with pytest.raises(ConfigError, match="to which another one writes; end it, or try"):
         begin_life(tmp_path, "edge")
     log.close()
     recover(tmp_path, "edge")

@@ -53,7 +53,7 @@ def decode_answer(data: bytes) -> Accepted | str:
         time_ns, note = value
         return Accepted(int(time_ns), str(note))
     except _UNREADABLE:
-        raise ConfigError("command: expected an answer of this version of the software") from None
+        raise ConfigError("command: expected an answer of this version, got another one") from None
 
 
 def encode_event(event: CommandEvent, *, wall_ns: int) -> bytes:
@@ -71,7 +71,9 @@ def decode_event(data: bytes) -> tuple[CommandEvent, int]:
         time_ns, text, wall_ns = msgpack.unpackb(data)
         return CommandEvent(int(time_ns), parse_command(str(text))), int(wall_ns)
     except (*_UNREADABLE, ConfigError):
-        raise MessageRefused("event", "expected a command and its time") from None
+        raise MessageRefused(
+            "event", "expected a command and its time, got another value"
+        ) from None
 
 
 def _unpacked(data: bytes, kind: type) -> tuple[object, str]:
@@ -82,5 +84,5 @@ def _unpacked(data: bytes, kind: type) -> tuple[object, str]:
         if not isinstance(value, kind):
             raise ValueError
     except _UNREADABLE:
-        raise ConfigError("command: expected a message of this version of the software") from None
+        raise ConfigError("command: expected a message of this version, got another one") from None
     return version, str(value)

@@ -118,7 +118,7 @@ def test_a_load_above_what_the_trace_carries_is_warned_about(convert, written, s
     trace = written("trace", "".join(f"{k}\n" for k in range(1, 1001)))
     load = ("--load", f"{size}B@1kHz", "--other-way", "same")
     notes = convert(trace, *load).metadata["notes"]
-    words = f"the load is {size * 0.008:.3g} Mbit/s, the trace carries 12 Mbit/s in the mean"
+    words = f"the load is {size * 0.008:.3g} Mbit/s, the mean of the trace is 12 Mbit/s"
     told = [note for note in notes if words in note]
     assert len(told) == 2
     assert all(("warning" in note) == above for note in told)

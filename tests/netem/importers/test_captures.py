@@ -380,7 +380,7 @@ def test_packets_that_are_all_alike_are_refused_if_one_is_missing(convert, refus
     profile = convert(short, written("b", pcap(far)), "--other-way", "same")
     assert set(profile.delays_ns[UPLINK].tolist()) == {3 * MS}
     text = refused(short, written("b", pcap(far[:7] + far[8:])), "--other-way", "same")
-    for words in ("50 and 49 packets 10.0.0.1 > 10.0.0.2", "first 40 bytes", "-s 0"):
+    for words in ("50 and 49 equal packets 10.0.0.1 > 10.0.0.2", "first 40 bytes", "-s 0"):
         assert words in text
 
 

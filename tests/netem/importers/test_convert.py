@@ -101,7 +101,7 @@ def test_one_way_alone_is_refused_with_how_to_say_the_other(refused, sample, wri
     for words in ("--uplink", "--downlink", "--other-way same", "--other-way constant:5ms"):
         assert words in text
     nameless = written("pdcp.txt", sample("UlPdcpStats_perpacket.txt").read_bytes())
-    assert "expected a file of a known way" in refused(nameless, "--other-way", "constant:5ms")
+    assert "expected a known direction" in refused(nameless, "--other-way", "constant:5ms")
 
 
 @pytest.mark.parametrize("file", ["nothing.txt", ".", "nothing.npz"])

@@ -121,7 +121,7 @@ def test_receptions_of_5g_lena_were_sent_their_delay_before(convert, written):
     files = [written(f"Nr{way}PdcpRxStats.txt", text) for way in ("Ul", "Dl")]
     profile = convert(*files)
     assert profile.delays_ns.tolist() == [[500_000, 1_600_000, 500_000]] * 2
-    assert any("losses are not known" in note for note in profile.metadata["notes"])
+    assert any("losses are unknown" in note for note in profile.metadata["notes"])
 
 
 @pytest.mark.parametrize(
