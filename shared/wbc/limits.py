@@ -66,7 +66,7 @@ class Limits:
         self._of_rates = np.zeros(n)
         # Misses, and views of them: making a view takes as long as a sum.
         self._misses = np.zeros((2, 2 * n))
-        # x and −x of a solution; bounds of torques, and where they replace what is in b.
+        # x and −x of a solution. For torques, bounds replace the entries of b: factor 0, not 1.
         self._signed = np.zeros((2, 2 * n))
         self._torque_bounds = np.zeros((2, 2 * n))
         self._torque_bounds[:, :n] = self._lower[:n], self._minus_upper[:n]
