@@ -1,7 +1,7 @@
 """Cost of the robot's own limits: ticks with them, as ratios to ticks without.
 
-Robots with and without limits stand side by side in one process. Each has an edge that answers every
-state at once. The robots play batches of ticks in turn. A tick's time is that of measuring,
+Robots with and without limits stand side by side in one process. Each has an edge that answers
+every state at once. The robots play batches of ticks in turn. A tick's time is that of measuring,
 receiving and commanding, as in the column `tick_ns`.
 """
 
