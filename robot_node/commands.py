@@ -100,9 +100,10 @@ class RobotCommands:
         """
         for _ in range(_ATTEMPTS):
             with self._preparing:
+                changes = self._changes
                 action = self._loop.pace.prepare(command) or self._node.prepare(command)
                 if isinstance(command, SwitchController | Reset):
-                    action = partial(self._change, action, self._changes)
+                    action = partial(self._change, action, changes)
             try:
                 return self._loop.between_ticks(action, at_ns=at_ns)
             except _OutdatedError:

@@ -43,6 +43,8 @@ class ControllerSlot:
         self._waiting: OtherController | None = None
         # The time of the state that was answered last before a controller began to wait.
         self._before_ns = 0
+        # Made for a command that has not been carried out.
+        self._prepared: list[OtherController] = []
         self._retired: list[OnBoard] = []
         self._retired_qps = 0
 
@@ -67,10 +69,13 @@ class ControllerSlot:
             model=WholeBodyModel(robot),
             stacks=make_stacks(robot, config.wbc, Limits.of(robot, config)),
         )
-        return OtherController(config, self._make_controller(parts))
+        made = OtherController(config, self._make_controller(parts))
+        self._prepared.append(made)
+        return made
 
     def begin_switch(self, other: OtherController) -> None:
         """Let another controller collect answers. Until it has one, the present one goes on."""
+        self._take_prepared(other)
         self._abandon_switch()
         self._before_ns = self.cache.newest_stamp_ns
         self.cache = _continued(other.controller.cache, self.cache)
@@ -85,6 +90,7 @@ class ControllerSlot:
 
     def replace(self, other: OtherController) -> None:
         """Change to another controller at once."""
+        self._take_prepared(other)
         _continued(other.controller.cache, self.cache)
         self._abandon_switch()
         self._change_to(other)
@@ -100,9 +106,9 @@ class ControllerSlot:
 
     def close(self) -> None:
         """End the processes of all on-board computers."""
+        self._take_prepared(None)
+        self._abandon_switch()
         self.close_retired()
-        if self._waiting is not None and self._waiting.controller.on_board is not None:
-            self._waiting.controller.on_board.close()
         if self.controller.on_board is not None:
             self.controller.on_board.close()
 
@@ -119,9 +125,23 @@ class ControllerSlot:
         self.cache = other.controller.cache
 
     def _abandon_switch(self) -> None:
-        if self._waiting is not None and self._waiting.controller.on_board is not None:
-            self._retired.append(self._waiting.controller.on_board)
+        if self._waiting is not None:
+            self._retire(self._waiting)
         self._waiting = None
+
+    def _take_prepared(self, taken: OtherController | None) -> None:
+        """Retire the controllers that were prepared beside the one that is taken.
+
+        They continue from what the robot had before, so that no command uses them any more.
+        """
+        prepared, self._prepared = self._prepared, []
+        for other in prepared:
+            if other is not taken:
+                self._retire(other)
+
+    def _retire(self, other: OtherController) -> None:
+        if other.controller.on_board is not None:
+            self._retired.append(other.controller.on_board)
 
 
 def _continued(cache: AnswerCache, before: AnswerCache) -> AnswerCache:

@@ -86,6 +86,22 @@ def test_another_controller_takes_over_with_its_first_answer(bench, before, afte
     assert played.robot.cache.refused == {}
 
 
+def test_a_controller_that_was_prepared_in_vain_ends_its_computer(bench, monkeypatch):
+    played = bench(controller="lc", **{"correction.on_board_budget": 0.1}).run(2)
+    closed: list[Any] = []
+    monkeypatch.setattr(type(played.robot.on_board), "close", lambda it: closed.append(it))
+    script, operator = (played.robot.prepare(SwitchController("lc")) for _ in range(2))
+    vain = played.robot._slot._prepared[0].controller.on_board
+    operator()
+    assert closed == []
+    played.robot.prepare(parse_command("push 1N +x"))
+    assert closed == [vain]
+    del script
+    played.robot.close()
+    # The present one and the one that waits.
+    assert len(closed) == len(set(map(id, closed))) == 3
+
+
 def test_a_controller_that_does_not_exist_is_refused_and_changes_nothing(bench):
     played = bench().run(2)
     with pytest.raises(ConfigError, match="expected a module that can be imported"):
