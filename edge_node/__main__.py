@@ -150,9 +150,9 @@ def main() -> int:
             refused=dict(node.refused),
         )
     )
+    sent, p50 = report["link"]["downlink"]["sent"], report["edge_solve_ms"]["p50"]
     print(
-        f"stopped: {report['link']['downlink']['sent']} answers sent, "
-        f"solve p50 {report['edge_solve_ms']['p50']} ms, "
+        f"stopped: {sent} answers sent, {'' if p50 is None else f'solve p50 {p50} ms, '}"
         f"refused {refused_in_words(node.refused) or 'no message'}",
         flush=True,
     )

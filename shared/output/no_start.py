@@ -85,6 +85,8 @@ def _stuck(
     direction: str, what: str, way: Mapping[str, Any], sent: int | None, config: RunConfig
 ) -> str:
     """Return the text for a direction in which nothing arrives."""
+    if sent == 0:
+        return f"the run ended before any {what} were sent"
     if full := _no_room(direction, way, config):
         return full
     lost = way.get("dropped_by_profile") or 0
@@ -94,9 +96,10 @@ def _stuck(
             "--network, --network-start or less --loss"
         )
     return (
-        f"none of {sent} {what} came out of the {direction} in time: it delays them by more than "
-        f"the run waits (loop.connect_timeout {config.loop.connect_timeout:g} s), or carries less "
-        "than they need; try another --network or --network-start"
+        f"none of {sent} {what} came out of the {direction} before the run ended. A run waits "
+        f"{config.loop.connect_timeout:g} s (loop.connect_timeout). If it was not ended by hand, the "
+        "link delays them by more, or carries less than they need; try another --network or "
+        "--network-start"
     )
 
 

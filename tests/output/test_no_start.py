@@ -64,8 +64,9 @@ NOTHING = {"received": 0}
     [
         ({"received": 0, "dropped_by_profile": SENT}, {"sent": 0, **NOTHING}, "the uplink lost"),
         ({}, {**NOTHING, "dropped_by_profile": 1900}, "the downlink lost 1900 of 2000 answers"),
-        (NOTHING, {"sent": 0, **NOTHING}, "none of 2000 states came out of the uplink in time"),
-        ({}, NOTHING, "none of 2000 answers came out of the downlink in time"),
+        ({"sent": 0, **NOTHING}, {"sent": 0, **NOTHING}, "the run ended before any states"),
+        (NOTHING, {"sent": 0, **NOTHING}, "none of 2000 states came out of the uplink before"),
+        ({}, NOTHING, "none of 2000 answers came out of the downlink before"),
         ({}, {"sent": 0, **NOTHING}, "the edge received 2000 states and has not answered yet"),
         ({"received": None}, {"sent": None, **NOTHING}, "no answer came; the edge's own output"),
     ],
