@@ -97,8 +97,8 @@ def _stuck(
         )
     return (
         f"none of {sent} {what} came out of the {direction} before the run ended. A run waits "
-        f"{config.loop.connect_timeout:g} s (loop.connect_timeout). If it was not ended by hand, the "
-        "link delays them by more, or carries less than they need; try another --network or "
+        f"{config.loop.connect_timeout:g} s (loop.connect_timeout). If nobody ended it, the link "
+        "delays them by more, or carries less than they need; try another --network or "
         "--network-start"
     )
 
