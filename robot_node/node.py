@@ -423,7 +423,9 @@ class RobotNode:
         if self._config.stepping.mode == "off":
             return None, None
         clock = ContactClock(self._model.robot, self._config)
-        return clock, PlanCache(self._codec, self._model.robot, clock, session=session)
+        whole = self._config.stepping.mode == "on"
+        plans = PlanCache(self._codec, self._model.robot, clock, session=session, whole_plans=whole)
+        return clock, plans
 
     def _model_computer(self, make_solve: MakeSolve) -> OnBoardComputer:
         config = self._config

@@ -2,7 +2,8 @@
 
 Both are taken only if they fit this robot. The feet of a plan must be where the robot's feet are,
 and its footprints within the reach of the legs. A law must have the grids of the robot's soles and
-reach, and values near those of the robot's law for flat ground. A plan must also be for the robot's
+reach, and values near those of the robot's law for flat ground. The CoPs of a plan must move its
+DCM as those of a pendulum do, from phase to phase to a rest. A plan must also be for the robot's
 present phase and newer than the last one, and no swing foot may be about to land. So a plan that is
 late, false or from another edge changes nothing.
 """
@@ -36,6 +37,9 @@ _ROUNDING = 1e-5
 _CLIMB, _LIFT = 0.15, 0.3
 # The largest distance of a plan's CoPs and DCMs from a foot [m].
 _FARTHEST = 1.0
+# The largest distance of the DCM at the beginning of a phase from that at the end of the one before
+# [m].
+_JUMP = 0.01
 # A law's values are at most the robot's own times this factor, plus this difference, and the other
 # way round.
 _FACTOR, _APART = 2.0, 0.01
@@ -53,15 +57,19 @@ class PlanCache:
         clock: ContactClock,
         *,
         session: int,
-        refused: RefusalCounter | None = None,
+        whole_plans: bool = True,
     ) -> None:
-        # The count goes on when the robot begins anew.
-        self.refused = RefusalCounter() if refused is None else refused
+        """Begin without plan and law.
+
+        The planner on the edge alone sends parts of plans: only `whole_plans` lead to a rest.
+        """
+        self.refused = RefusalCounter()
         self.law = 0
         self.plan = -1
         self._codec = PlanCodec(codec)
         self._clock = clock
         self._session = session
+        self._whole_plans = whole_plans
         self._own = make_step_law(robot, clock.stance)
 
     def offer(self, data: bytes, *, sent: SentStates, now_ns: int, time_ns: int) -> bool:
@@ -123,6 +131,8 @@ class PlanCache:
             raise MessageRefused("frozen", f"plan {plan.number}, as the foot is about to land")
         self._check_modes(plan)
         self._check_places(plan)
+        if self._whole_plans:
+            self._check_course(plan)
         clock.take(plan)
         self.plan = plan.number
 
@@ -153,6 +163,22 @@ class PlanCache:
             for point in (phase.cop, phase.dcm):
                 if min(math.dist(point, (each.x, each.y)) for each in feet.values()) > _FARTHEST:
                     raise MessageRefused("reach", "a CoP or a DCM far from the feet")
+
+    def _check_course(self, plan: Plan) -> None:
+        """Check that the CoPs of a plan move its DCM ξ from phase to phase, and to a rest.
+
+        A phase of duration T with the CoP p begins at ξ₀ = p + (ξ_T − p) e^(−ωT). The first phase
+        continues the robot's motion and is not checked.
+        """
+        for before, phase in itertools.pairwise(plan.phases):
+            decay = math.exp(-self._own.omega * (phase.end_ns - phase.begin_ns) * 1e-9)
+            start = [p + (dcm - p) * decay for p, dcm in zip(phase.cop, phase.dcm, strict=True)]
+            jump = math.dist(start, before.dcm)
+            if jump > _JUMP:
+                raise MessageRefused("course", f"a DCM that jumps by {jump:.3f} m")
+        rest = plan.phases[-1]
+        if math.dist(rest.cop, rest.dcm) > _JUMP:
+            raise MessageRefused("course", "a stand in which the DCM moves")
 
     def _check_reach(self, goal: Footprint, support: Footprint) -> None:
         own = self._own

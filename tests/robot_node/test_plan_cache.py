@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import msgpack
 import numpy as np
@@ -57,11 +58,14 @@ def law(robot):
 
 
 @pytest.fixture
-def plan(bench):
+def plan(bench, robot):
     """One step of the right foot, 20 cm ahead."""
     feet = bench.clock.feet
     left, right = feet[Foot.LEFT], feet[Foot.RIGHT]
     goal = dataclasses.replace(right, x=right.x + 0.2)
+    # Backwards from rest: the DCM at the end of each phase.
+    rest, cop = np.array((0.1, 0.0)), np.array((0.0, 0.1))
+    lifts = cop + (rest - cop) * math.exp(-Stance.of(robot).omega * 0.4)
     return Plan(
         number=0,
         origin=PlanOrigin(SESSION, 0, 0),
@@ -69,8 +73,8 @@ def plan(bench):
         feet=(left, right),
         com=(0.03, 0.0),
         phases=(
-            PlannedPhase(DOUBLE, 0, 500_000_000, None, (0.0, 0.0), (0.0, 0.08)),
-            PlannedPhase(LEFT, 500_000_000, 900_000_000, goal, (0.0, 0.1), (0.2, 0.0)),
+            PlannedPhase(DOUBLE, 0, 500_000_000, None, (0.0, 0.0), tuple(lifts.tolist())),
+            PlannedPhase(LEFT, 500_000_000, 900_000_000, goal, (0.0, 0.1), (0.1, 0.0)),
             PlannedPhase(DOUBLE, 900_000_000, 2_000_000_000, None, (0.1, 0.0), (0.1, 0.0)),
         ),
         swing_height=0.05,
@@ -120,6 +124,19 @@ def moved(plan, **changes):
     return dataclasses.replace(plan, phases=(plan.phases[0], changed, plan.phases[2]))
 
 
+def with_phase(plan, at, **changes):
+    phases = list(plan.phases)
+    phases[at] = dataclasses.replace(phases[at], **changes)
+    return dataclasses.replace(plan, phases=tuple(phases))
+
+
+def lasting(plan, factor):
+    """The plan with steps of another duration."""
+    step = plan.phases[1]
+    end_ns = step.begin_ns + round(factor * (step.end_ns - step.begin_ns))
+    return with_phase(plan, 1, end_ns=end_ns)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -148,12 +165,13 @@ def moved(plan, **changes):
         (lambda plan: moved(plan, z=0.2), "reach"),
         (lambda plan: dataclasses.replace(plan, swing_height=0.5), "reach"),
         (lambda plan: dataclasses.replace(plan, swing_height=-0.1), "reach"),
-        (
-            lambda plan: dataclasses.replace(
-                plan, phases=(dataclasses.replace(plan.phases[0], cop=(5.0, 0.0)), *plan.phases[1:])
-            ),
-            "reach",
-        ),
+        (lambda plan: with_phase(plan, 0, cop=(5.0, 0.0)), "reach"),
+        # A DCM that no CoP under the feet brings about.
+        (lambda plan: with_phase(plan, 1, cop=(0.0, 0.13)), "course"),
+        (lambda plan: with_phase(plan, 1, dcm=(0.4, 0.0)), "course"),
+        (lambda plan: with_phase(plan, 2, dcm=(0.13, 0.0)), "course"),
+        (lambda plan: lasting(plan, 0.5), "course"),
+        (lambda plan: lasting(plan, 100.0), "course"),
     ],
 )
 def test_a_plan_that_does_not_fit_is_refused_with_the_reason(bench, plan, change, reason):
