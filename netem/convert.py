@@ -20,6 +20,7 @@ from netem.importers.options import (
     parse_columns,
     parse_fraction,
     parse_load,
+    parse_marks,
     parse_period_ns,
     parse_size,
     per_way,
@@ -46,7 +47,8 @@ _FLAGS: tuple[tuple[str, str, Callable[[str], Any], str, str], ...] = (
     ("columns", "columns", parse_columns, "sent=t(s),delay=d(ms)", "columns of a table by their "
      "meaning"),
     ("unit", "unit", str, "ms", "unit of the columns that do not name one: s, ms, us, ns"),
-    ("lost", "lost", str, "-1", "value of a lost packet in a table, beside nan, empty, …"),
+    ("lost", "lost", parse_marks, "-1", "value of a lost packet in a table, beside nan, empty, …; "
+     "several as in --lost=-1,0"),
     ("clock", "clock", str, "offset", "two clocks: offset (shortest delays equal) or half (of the "
      "round trip each way)"),
     ("imsi", "imsi", int, "N", "IMSI of the terminal, if ns-3's files have several"),
@@ -220,7 +222,10 @@ def _with_capacity(measured: Measured, options: Options) -> Measured:
 
 def _print(profile: DelayProfile, out: Path, formats: list[Format]) -> None:
     n = profile.delays_ns.shape[1]
-    print(f"{out}: {n} periods of {profile.period_ns / 1000:g} µs, from {formats[0].name}")
+    print(
+        f"{out}: {n} periods of {profile.period_ns / 1000:g} µs, {profile.duration_ns * 1e-9:.6g} s, "
+        f"from {formats[0].name}"
+    )
     imported = PROFILE not in formats
     for direction, name in enumerate(DIRECTIONS):
         delays = delays_ms(profile, name)
@@ -253,4 +258,5 @@ def _losses_in_words(profile: DelayProfile, direction: int, *, imported: bool) -
             else f"{missing} of {sent} packets lost ({100 * missing / sent:.2f} %)",
         )
         words.append(f"{100 * profile.metadata['interpolated'][name]:.1f} % of it interpolated")
+        words.append(f"packets {profile.metadata['spacing_ms'][name]:.4g} ms apart")
     return ", ".join(words)

@@ -84,7 +84,7 @@ def _pcap(path: Path, file: _File, order: str, unit_ns: int) -> Iterator[Frame]:
     while head := file.read(16):
         where = f"record {record} at byte {at}"
         if len(head) < 16:
-            raise wrong(path, where, "16 bytes of a record's header", f"{len(head)} bytes")
+            raise _cut_short(path, where, "16 bytes of a record's header", len(head))
         seconds, fraction, captured, _ = struct.unpack(order + "4I", head)
         if captured > _LONGEST or fraction * unit_ns >= _S:
             raise wrong(
@@ -95,9 +95,14 @@ def _pcap(path: Path, file: _File, order: str, unit_ns: int) -> Iterator[Frame]:
             )
         data = file.read(captured)
         if len(data) < captured:
-            raise wrong(path, where, f"{captured} bytes", f"{len(data)} bytes")
+            raise _cut_short(path, where, f"{captured} bytes", len(data))
         yield Frame(seconds * _S + fraction * unit_ns, link, data, where)
         at, record = at + 16 + captured, record + 1
+
+
+def _cut_short(path: Path, where: str, expected: str, got: int) -> ProfileError:
+    error = wrong(path, where, expected, f"{got} bytes")
+    return ProfileError(f"{error}: the capture was stopped in it; try editcap IN OUT, which drops it")
 
 
 def _pcapng(path: Path, file: _File) -> Iterator[Frame]:

@@ -7,6 +7,10 @@ several packets within that time are the same in all of this, they are paired in
 them is missing, the captures do not show which, and the importer refuses them. A datagram arrives
 with its last fragment, and is lost if any fragment is lost. Addresses must be the same at both
 ends. A translation of addresses between the ends hides every packet.
+
+A capture may have left out a connection (addresses, protocol and ports) by its filter. The importer
+leaves out a connection of which the receiver's capture has no packet while it has packets of
+others. A network card that cuts or joins packets (offload) makes them differ, which is refused.
 """
 
 from __future__ import annotations
@@ -37,13 +41,20 @@ _APART_NS = 30_000_000_000
 _SAME_DATAGRAM_NS = 1_000_000_000
 _MAX_PACKETS = 5_000_000
 _UDP, _UDP_HEADER = 17, 8
+_PROTOCOLS = {1: "ICMP", 6: "TCP", _UDP: "UDP", 58: "ICMPv6"}
+# A connection with fewer packets may be lost by chance.
+_FEW = 10
+# No packet on a usual Ethernet has more bytes of IP's payload.
+_LONGEST = 1480
 _Flow = tuple[bytes, bytes]
+_Connection = tuple[_Flow, int, bytes]
 
 
 @dataclass
 class _Datagram:
     """A datagram at its sender. It arrives with the last of its fragments, if none is lost."""
 
+    connection: _Connection
     sent_ns: int
     arrived_ns: int
     lost: bool
@@ -63,11 +74,18 @@ def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measur
     for packet, partner in zip(near, near_partner, strict=True):
         if partner is not None:
             shifts[packet.flow].append(partner.time_ns - packet.time_ns)
+    _refuse_offload(near, near_partner, far, robot_side)
+    _refuse_offload(far, far_partner, near, edge_side)
     if not shifts:
         raise ProfileError(
             f"{robot_side}, {edge_side}: expected the same packets in both, at most 30 s apart, "
             f"got none in {len(near)} and {len(far)}, {_in_bytes(compared)} compared; capture "
             "where no address is translated in between"
+        )
+    if len(near) > 1 and not any(shift for each in shifts.values() for shift in each):
+        raise ProfileError(
+            f"{robot_side}, {edge_side}: expected captures of two ends, got each packet at the same "
+            "time in both; give the capture of the other end"
         )
     directions = _directions(shifts, options.robot, f"{robot_side}, {edge_side}")
     ways: list[Way | None] = [None, None]
@@ -85,8 +103,17 @@ def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measur
     ):
         flows = {flow for flow, way in directions.items() if way == direction}
         if flows:
-            ways[direction], unfinished = _way(sender, partners, flows, receiver[-1].time_ns)
+            datagrams, left_out = _without_filtered(_datagrams(sender, partners, flows), receiver)
+            notes += [f"{DIRECTIONS[direction]}: {note}" for note in left_out]
+            ways[direction], unfinished = _way(datagrams, receiver[-1].time_ns)
             notes += unfinished_note(unfinished)
+    one = UPLINK if ways[DOWNLINK] is None else DOWNLINK
+    if ways[1 - one] is None and options.robot is None:
+        side = (robot_side, edge_side)[one].name
+        notes.append(
+            f"{DIRECTIONS[one]}: {', '.join(_in_words(directions, one))}, because {side} saw these "
+            "packets first; --robot ADDRESS says otherwise"
+        )
     described = {DIRECTIONS[way]: _in_words(directions, way) for way in (UPLINK, DOWNLINK)}
     return Measured((ways[0], ways[1]), tuple(notes), {"flows": described}, two_clocks=True)
 
@@ -183,9 +210,28 @@ def _directions(shifts: dict[_Flow, list[int]], robot: str | None, files: str) -
     return directions
 
 
-def _way(
-    sender: list[Packet], partners: list[Packet | None], flows: set[_Flow], end_ns: int
-) -> tuple[Way, int]:
+def _refuse_offload(
+    side: list[Packet], partners: list[Packet | None], other: list[Packet], path: Path
+) -> None:
+    """Raise `ProfileError` if this capture has packets that the other one has in parts."""
+    longest: dict[_Flow, int] = defaultdict(int)
+    for packet in other:
+        longest[packet.flow] = max(longest[packet.flow], packet.payload_bytes)
+    for packet, partner in zip(side, partners, strict=True):
+        there = longest[packet.flow]
+        if partner is None and there and packet.payload_bytes > max(_LONGEST, there):
+            raise ProfileError(
+                f"{path}: expected packets as they are on the wire, got one of "
+                f"{packet.payload_bytes} bytes where the other capture has at most {there}, because "
+                "a network card cuts or joins packets; capture again after ethtool -K INTERFACE "
+                "tso off gso off gro off lro off"
+            )
+
+
+def _datagrams(
+    sender: list[Packet], partners: list[Packet | None], flows: set[_Flow]
+) -> list[_Datagram]:
+    """The datagrams that the sender's capture has in these flows, with all their fragments."""
     datagrams: list[_Datagram] = []
     open_ones: dict[bytes, _Datagram] = {}
     for packet, partner in zip(sender, partners, strict=True):
@@ -196,7 +242,8 @@ def _way(
         one = open_ones.get(packet.datagram)
         if one is None or packet.time_ns - one.sent_ns > _SAME_DATAGRAM_NS:
             size -= _UDP_HEADER if packet.protocol == _UDP else 0
-            one = _Datagram(packet.time_ns, arrived_ns, lost, size, packet.last)
+            connection = (packet.flow, packet.protocol, packet.ports)
+            one = _Datagram(connection, packet.time_ns, arrived_ns, lost, size, packet.last)
             datagrams.append(one)
             open_ones[packet.datagram] = one
         else:
@@ -206,6 +253,34 @@ def _way(
             one.last |= packet.last
         if packet.last:
             open_ones.pop(packet.datagram, None)
+    return datagrams
+
+
+def _without_filtered(
+    datagrams: list[_Datagram], receiver: list[Packet]
+) -> tuple[list[_Datagram], list[str]]:
+    """Leave out the connections that the receiver's capture does not have. Return notes too."""
+    there = {(packet.flow, packet.protocol, packet.ports) for packet in receiver}
+    arrived_ns = np.array([one.sent_ns for one in datagrams if not one.lost])
+    absent: dict[_Connection, list[int]] = defaultdict(list)
+    for one in datagrams:
+        if one.connection not in there:
+            absent[one.connection].append(one.sent_ns)
+    filtered = {
+        connection: times
+        for connection, times in absent.items()
+        if len(times) >= _FEW
+        and np.diff(np.searchsorted(arrived_ns, [times[0], times[-1]])) > 0
+    }
+    notes = [
+        f"left out {len(times)} packets of {_connection_in_words(connection)}, of which the other "
+        "capture has none (its filter?)"
+        for connection, times in filtered.items()
+    ]
+    return [one for one in datagrams if one.connection not in filtered], notes
+
+
+def _way(datagrams: list[_Datagram], end_ns: int) -> tuple[Way, int]:
     # A datagram without its last fragment: the capture ended before the rest of it.
     known = [one for one in datagrams if one.last]
     # A datagram sent before the other capture began is not a loss.
@@ -218,6 +293,17 @@ def _way(
         message_bytes=int(np.median([one.payload_bytes for one in known])) if known else None,
     )
     return without_unfinished(way, end_ns)
+
+
+def _connection_in_words(connection: _Connection) -> str:
+    """The connection as in `TCP 10.0.0.1:40000 > 10.0.0.2:22`."""
+    flow, protocol, ports = connection
+    numbers = (int.from_bytes(ports[:2], "big"), int.from_bytes(ports[2:], "big"))
+    ends = [
+        f"{ipaddress.ip_address(end)}{f':{port}' if ports else ''}"
+        for end, port in zip(flow, numbers, strict=True)
+    ]
+    return f"{_PROTOCOLS.get(protocol, f'protocol {protocol}')} {' > '.join(ends)}"
 
 
 def _in_words(directions: dict[_Flow, int], way: int) -> list[str]:

@@ -9,16 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from netem.importers.options import Options
-from netem.importers.source import nanoseconds, wrong
-from netem.importers.times import bare, date_time_ns, unit_ns
+from netem.importers.source import nanoseconds, whole, wrong
+from netem.importers.times import bare, date_time_ns, number_and_unit_ns, unit_ns
 from shared.errors import ConfigError, ProfileError
 
 LOST_NS = int(np.iinfo(np.int64).min)
 TIMES = ("sent", "received", "time")
 _LOST = frozenset(
     (
-        *("", "lost", "loss", "none", "null", "nan", "na", "n/a", "-", "--", "*"),
-        *("timeout", "timed out", "inf", "+inf", "infinity", "∞"),
+        *("", "lost", "loss", "none", "null", "nan", "-nan", "na", "n/a", "#n/a", "-", "--", "*"),
+        *("timeout", "timed out", "request timed out", "no reply", "unreachable", "failed"),
+        *("inf", "+inf", "infinity", "∞"),
     )
 )
 
@@ -113,30 +114,47 @@ def value_ns(
     cell = " ".join(written)
     if key not in ("sent", "time") and is_lost(cell, options):
         return int(LOST_NS)
-    if key in TIMES and ":" in cell:
+    if key in TIMES and (":" in cell or "T" in cell):
         time = date_time_ns(cell)
         if time is None:
             raise wrong(path, where, f"{key} as in 2023-11-14 22:13:20.5", cell)
         return time
     total = 0
-    for text, unit in zip(written, place.units_ns, strict=True):
+    for text, named in zip(written, place.units_ns, strict=True):
+        digits, own = number_and_unit_ns(text)
+        unit = own or named
         if unit is None:
             raise ConfigError(
                 f"{path}, {where}: {key}: expected its unit in its name, as in NAME(ms), or --unit "
                 f"as one of s, ms, us, ns; got {cell!r} without one"
             )
-        number = text if separator == "," else text.replace(",", ".")
+        number = digits if separator == "," else digits.replace(",", ".")
         total += nanoseconds(number, unit, path, where, f"{key} as a number")
     return total
 
 
+def sequence_number(text: str, path: Path, where: str) -> int:
+    """The number of a packet in a cell."""
+    whole_part, _, rest = text.partition(".")
+    if rest.strip("0"):
+        raise wrong(path, where, "seq as a whole number", text)
+    return whole(whole_part, path, where, "seq as a whole number", low=0, high=2**62)
+
+
 def is_lost(cell: str, options: Options) -> bool:
     """Return whether the cell of a delay stands for a lost packet."""
-    if cell.lower() in _LOST or cell == options.lost:
+    if cell.lower() in _LOST or cell in options.lost:
         return True
-    if options.lost is None:
-        return False
-    try:
-        return float(cell) == float(options.lost)
-    except ValueError:
-        return False
+    for mark in options.lost:
+        try:
+            if float(cell) == float(mark):
+                return True
+        except ValueError:
+            continue
+    return False
+
+
+def lost_flag(options: Options, mark: int) -> str:
+    """The flag that makes a further value stand for lost packets."""
+    marks = (*options.lost, str(mark))
+    return f"--lost {mark}" if len(marks) == 1 else f"--lost={','.join(marks)}"

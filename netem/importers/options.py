@@ -40,7 +40,7 @@ class Options:
     interval_ns: int | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     unit: str | None = None
-    lost: str | None = None
+    lost: tuple[str, ...] = ()
     beside: Mapping[Path, Path] = field(default_factory=dict)
     clock: str | None = None
     rnti: int | None = None
@@ -102,6 +102,11 @@ def parse_columns(text: str) -> dict[str, str]:
             f"expected columns as in sent=pub_time(ms),received=sub_time(ms), got {text!r}"
         )
     return {key.strip(): name.strip() for key, _, name in parts}
+
+
+def parse_marks(text: str) -> tuple[str, ...]:
+    """`-1,0` → the values that stand for a lost packet."""
+    return tuple(part.strip() for part in text.split(","))
 
 
 def parse_period_ns(text: str) -> int:

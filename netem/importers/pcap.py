@@ -16,7 +16,8 @@ from netem.importers.capture_files import frames
 from netem.importers.source import wrong
 
 _IPV4, _IPV6, _VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8, 0x9100)
-_TCP, _UDP, _GTP_PORT = 6, 17, 2152
+_TCP, _UDP, _SCTP, _GTP_PORT = 6, 17, 132, 2152
+_WITH_PORTS = (_TCP, _UDP, _SCTP)
 _FRAGMENT_HEADER = 44
 # No payload is longer.
 WHOLE = 1 << 18
@@ -26,8 +27,9 @@ _CHECKSUM = {_UDP: slice(6, 8), _TCP: slice(16, 18)}
 class Packet(NamedTuple):
     """An IP packet or fragment. `key` is the same at both ends, `datagram` in all its fragments.
 
-    `flow` is (source, destination). `payload_bytes` is the length of IP's payload. The capture
-    holds `held_bytes` of it. `last` tells that no fragment follows.
+    `flow` is (source, destination). `ports` are those of TCP, UDP and SCTP, as bytes; empty for
+    other protocols and for all fragments but the first. `payload_bytes` is the length of IP's
+    payload. The capture holds `held_bytes` of it. `last` tells that no fragment follows.
     """
 
     time_ns: int
@@ -35,6 +37,7 @@ class Packet(NamedTuple):
     key: bytes
     datagram: bytes
     protocol: int
+    ports: bytes
     payload_bytes: int
     held_bytes: int
     last: bool
@@ -124,7 +127,8 @@ def _ip(data: bytes, time_ns: int, compared: int, *, inside: bool = False) -> Pa
     datagram = b"".join((*flow, bytes([protocol]), identity))
     seen = blake2b(start, digest_size=12).digest()
     key = datagram + struct.pack(">HI", offset, max(total, 0)) + seen
-    return Packet(time_ns, flow, key, datagram, protocol, max(total, 0), held, not more)
+    ports = bytes(body[:4]) if offset == 0 and protocol in _WITH_PORTS else b""
+    return Packet(time_ns, flow, key, datagram, protocol, ports, max(total, 0), held, not more)
 
 
 def _is_gtp(udp: bytes) -> bool:

@@ -22,13 +22,14 @@ from netem.importers.measured import Measured, halved
 from netem.importers.options import Options
 from netem.importers.resample import MAX_PERIODS, check_span
 from netem.importers.source import content_lines, is_unfinished, lines, nanoseconds, whole, wrong
-from netem.importers.stamps import stamped
+from netem.importers.stamps import stamped, unread_time
 from netem.importers.times import past_midnight
 from shared.errors import ProfileError
 
 _SECOND = 1_000_000_000
 _NUMBER = re.compile(r"(?:icmp_|\b)(?:seq|req)[= ](\d+)")
-_MS = "(?:ms|毫秒|мсек|мс|ミリ秒|밀리초)"
+# The unit in other scripts, also in an encoding that does not announce itself.
+_MS = "(?:ms|毫秒|мсек|мс|ミリ秒|밀리초|\ufffd{1,6})"
 # "time=0.092 ms", and the same in other languages: "Zeit=0,092 ms", "时间=9.72 毫秒".
 _TIME = re.compile(rf"([=<]) ?(\d+(?:[.,]\d+)?) ?{_MS}(?=\s|$)")
 _FPING = re.compile(
@@ -51,11 +52,19 @@ _SENT = re.compile(
 )
 _WRAP = 65536
 _STEP_NS = 10_000_000
+# By times in whole seconds, a ping that comes so much later than expected follows a pause.
+_STOOD_NS = 2_500_000_000
+# Times of more pings than `_FEW` are none of one clock if more than `_OFTEN` of them step back by
+# `_BACK_NS`, or if there are less than `_LEAST_NS` between them.
+_FEW, _OFTEN, _BACK_NS, _LEAST_NS = 20, 0.1, 2_000_000, 100_000
 
 
 @dataclass
 class PingLog:
-    """The content of a log: round trips [ns] and arrival times of replies by number, and more."""
+    """The content of a log: round trips [ns] and arrival times of replies by number, and more.
+
+    `unread` is the first time before a reply that is of no known form.
+    """
 
     trips: dict[int, int] = field(default_factory=dict)
     came: dict[int, int] = field(default_factory=dict)
@@ -63,6 +72,7 @@ class PingLog:
     size: int | None = None
     transmitted: int | None = None
     took_ns: int | None = None
+    unread: str = ""
     notes: list[str] = field(default_factory=list)
 
 
@@ -94,12 +104,12 @@ def _numbered(path: Path) -> PingLog:
         where, (stamp, text) = f"line {line}", stamped(written)
         if _HEADING.match(text):
             if heading:
-                raise wrong(path, where, f"one run of ping, begun at {heading}", text)
+                raise _second_run(path, where, f"one run of ping, begun at {heading}", text)
             heading = where
         fping, sequence, time = _FPING.match(text), _NUMBER.search(text), _TIME.search(text)
         if fping:
             if host not in ("", fping["host"]):
-                raise wrong(path, where, f"one host, {host}", fping["host"])
+                raise _second_run(path, where, f"one host, {host}", fping["host"])
             host, number, trip, size = fping["host"], fping["number"], fping["time"], fping["size"]
         elif sequence:
             number, trip = sequence[1], time[2] if time else None
@@ -130,6 +140,8 @@ def _numbered(path: Path) -> PingLog:
         log.trips[last] = nanoseconds(ms, _SECOND // 1000, path, where, "a round trip in ms")
         if stamp is not None:
             log.came[last] = stamp
+        elif not log.unread:
+            log.unread = unread_time(text if fping else text[: sequence.start()])
         if log.size is None and size:
             log.size = int(size[:9])
     return log
@@ -145,7 +157,7 @@ def _windows(path: Path) -> PingLog:
             ended = ended or bool(log.seen)
         elif ended:
             if reply:
-                raise wrong(path, where, "one run of ping", text)
+                raise _second_run(path, where, "one run of ping", text)
             match = _WINDOWS_SENT.search(text)
             if match and int(match[1]) != len(log.seen):
                 raise wrong(path, where, f"{len(log.seen)} pings sent", text)
@@ -159,6 +171,8 @@ def _windows(path: Path) -> PingLog:
             log.trips[number] = nanoseconds(ms, _SECOND // 1000, path, where, "a round trip in ms")
             if stamp is not None:
                 log.came[number] = stamp
+            elif not log.unread:
+                log.unread = unread_time(text)
         elif begun or log.seen:
             log.seen.add(len(log.seen))
         begun = begun or text.rstrip().endswith(":")
@@ -167,6 +181,10 @@ def _windows(path: Path) -> PingLog:
     if below:
         log.notes.append(f"{below} round trips below 1 ms count as 1 ms")
     return log
+
+
+def _second_run(path: Path, where: str, expected: str, got: str) -> ProfileError:
+    return ProfileError(f"{wrong(path, where, expected, got)}; cut the log there")
 
 
 def _numbers(path: Path, seen: set[int], transmitted: int | None) -> np.ndarray:
@@ -183,7 +201,11 @@ def _numbers(path: Path, seen: set[int], transmitted: int | None) -> np.ndarray:
 def measured_pings(path: Path, options: Options, log: PingLog) -> Measured:
     """Both ways of a log, half of each round trip. `ProfileError` if the log has no reply."""
     if not log.trips:
-        raise ProfileError(f"{path}: expected replies to pings, got none; ping a host that answers")
+        of = "" if log.transmitted is None else f" of {log.transmitted}"
+        raise ProfileError(
+            f"{path}: expected a line for each reply, got none{of}; ping a host that answers, "
+            "without -q and -f"
+        )
     numbers = _numbers(path, log.seen, log.transmitted)
     notes = [HALF_NOTE, "a ping without a reply counts as lost on both ways", *log.notes]
     answered = np.array(sorted(log.trips))
@@ -193,9 +215,11 @@ def measured_pings(path: Path, options: Options, log: PingLog) -> Measured:
     lost[answered - numbers[0]] = False
     known = np.array(sorted(log.came))
     came = past_midnight(np.array([log.came[n] for n in known.tolist()], dtype=np.int64))
-    interval, said = _interval(options, log, known, came)
-    if len(known) > 1 and np.ptp(came) and (came % _SECOND).any():
-        times = came - [log.trips[n] for n in known.tolist()]
+    times = came - np.array([log.trips[n] for n in known.tolist()], dtype=np.int64)
+    coarse = len(known) > 1 and not (came % _SECOND).any()
+    interval, said = _interval(options, log, known, times, coarse=coarse)
+    if len(known) > 1 and np.ptp(came) and not coarse:
+        _expect_clock(path, known, times)
         if interval is None:
             interval = max(int(np.median(np.diff(times) // np.diff(known))), 1)
         times, steps = _without_steps(known, times, interval)
@@ -203,34 +227,83 @@ def measured_pings(path: Path, options: Options, log: PingLog) -> Measured:
         sent = _along(numbers, known, times, interval)
     else:
         if interval is None:
+            if log.unread:
+                raise ProfileError(
+                    f"{path}: expected times as in [1700000000.5], 2023-11-14 22:13:20.5 or "
+                    f"22:13:20.5 before the replies, got {log.unread!r}; try --interval 10ms"
+                )
             interval = _SECOND
             said = "no times in the log: pings taken to be 1 s apart; --interval sets another time"
         if said:
             notes.append(said)
         check_span(path, int(numbers[-1] - numbers[0]) * interval, options.period_ns)
         sent = (numbers - numbers[0]) * interval
+        if coarse:
+            sent = sent + _stood_before(numbers, known, times, interval)
     rate_hz = round(_SECOND / interval, 3) if interval > 0 else None
     ways = halved(sent, round_trip, lost, message_bytes=log.size, rate_hz=rate_hz)
     return Measured(ways, tuple(notes), {"split": "half"})
 
 
 def _interval(
-    options: Options, log: PingLog, known: np.ndarray, came: np.ndarray
+    options: Options, log: PingLog, known: np.ndarray, times: np.ndarray, *, coarse: bool
 ) -> tuple[int | None, str]:
     """The time between pings [ns] and its source, if the times of the replies do not give it."""
     if options.interval_ns is not None:
         return options.interval_ns, ""
-    coarse = len(known) > 1 and not (came % _SECOND).any()
+    if coarse and _late(known, times, _pace(known, times)).max() > _STOOD_NS:
+        interval = _pace(known, times)
+        return interval, (
+            f"times of whole seconds: pings taken to be {interval * 1e-6:g} ms apart, as mostly"
+        )
     if (len(known) < 2 or coarse) and log.took_ns and log.transmitted and log.transmitted > 1:
         interval = log.took_ns // (log.transmitted - 1)
         return interval, f"pings taken to be {interval * 1e-6:g} ms apart, as the summary says"
-    if coarse and came[-1] > came[0]:
-        interval = int((came[-1] - came[0]) // (known[-1] - known[0]))
+    if coarse and times[-1] > times[0] + _SECOND // 2:
+        interval = int(round((times[-1] - times[0]) / 1e9) * 1e9) // int(known[-1] - known[0])
         return interval, (
             f"times of whole seconds: pings taken to be {interval * 1e-6:g} ms apart, as between "
             "the first and the last"
         )
     return None, ""
+
+
+def _pace(known: np.ndarray, times: np.ndarray) -> int:
+    """The median time between pings, over tenths of a log with times in whole seconds [ns]."""
+    m = max(1, len(known) // 10)
+    return int(np.median((times[m:] - times[:-m]) / (known[m:] - known[:-m])))
+
+
+def _late(known: np.ndarray, times: np.ndarray, interval: int) -> np.ndarray:
+    """The time from each answered ping to the next one beyond the expected time [ns]."""
+    late: np.ndarray = np.diff(times) - np.diff(known) * interval
+    return late
+
+
+def _stood_before(
+    numbers: np.ndarray, known: np.ndarray, times: np.ndarray, interval: int
+) -> np.ndarray:
+    """The time that ping stood still before each number, by times in whole seconds [ns]."""
+    late = _late(known, times, interval)
+    stood = np.append(0, np.cumsum(np.where(late > _STOOD_NS, late, 0)))
+    before = np.maximum(np.searchsorted(known, numbers, side="right") - 1, 0)
+    passed: np.ndarray = stood[before]
+    return passed
+
+
+def _expect_clock(path: Path, known: np.ndarray, times: np.ndarray) -> None:
+    """Raise `ProfileError` for times that do not go on, as those of `ts -i` since the line before.
+
+    Many of them step back, or they all lie within moments.
+    """
+    pings = int(known[-1] - known[0])
+    back = (np.diff(times) < -_BACK_NS).mean()
+    if pings > _FEW and (back > _OFTEN or np.ptp(times) < pings * _LEAST_NS):
+        raise ProfileError(
+            f"{path}: expected times that go on from ping to ping, got {pings + 1} pings within "
+            f"{np.ptp(times) * 1e-9:.3g} s, {100 * back:.0f} % of them before the last one (as of "
+            "ts -i); try --interval 10ms on the log without these times"
+        )
 
 
 def _without_steps(

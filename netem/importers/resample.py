@@ -29,6 +29,12 @@ from netem.profile import DIRECTIONS, LOST, MAX_DELAY_MS, DelayProfile
 from shared.errors import ProfileError
 
 MAX_PERIODS = 10_000_000
+# A time without packets is worth a note if it is so many times the usual one, and so long.
+_GAP, _LEAST_GAP_NS = 5, 50_000_000
+# So many packets in each period are worth a note.
+_DENSE = 10
+# A note is due if this quantile of the delays differs by more than this share.
+_HIGH, _OTHER = 0.99, 0.05
 
 
 def to_profile(
@@ -74,7 +80,9 @@ def to_profile(
         filled[direction] = float((empty & (way_ns != LOST)).mean())
         surprising = (
             *_loss_notes(way, way_ns == LOST, empty, lone_losses=lone),
-            *_shared_times_note(way, period_ns),
+            *_gap_note(way, period_ns),
+            *_dense_note(way, period_ns),
+            *_quantile_note(way, way_ns),
         )
         for note in surprising:
             surprises[note].append(direction)
@@ -203,15 +211,49 @@ def _loss_notes(
         )
 
 
-def _shared_times_note(way: Way, period_ns: int) -> tuple[str, ...]:
-    """A note for the user on coarse times that several packets share; empty if they are fine."""
+def _gap_note(way: Way, period_ns: int) -> Iterator[str]:
+    """A note for the user on a time without packets, if no packet of this way is lost."""
+    usual, longest = usual_spacing_ns(way, period_ns), int(np.diff(way.sent_ns).max(initial=0))
+    if not way.lost.any() and longest >= max(_GAP * usual, _LEAST_GAP_NS) and usual:
+        yield (
+            f"no packet is marked as lost, and {longest * 1e-9:.3g} s passed without one, "
+            f"{usual * 1e-9:.3g} s usually: the delay is interpolated; were packets lost there?"
+        )
+
+
+def _dense_note(way: Way, period_ns: int) -> Iterator[str]:
+    """A note for the user on many packets in a period, as of coarse times or a wrong unit."""
     sent, times = len(way.sent_ns), len(np.unique(way.sent_ns))
-    if sent < 2 * times or (times > 1 and usual_spacing_ns(way, period_ns) <= period_ns):
-        return ()
-    return (
-        f"{sent} packets have only {times} time{'s' * (times > 1)} of sending, and of each the "
-        "longest delay counts; are the times cut short?",
-    )
+    periods = len(np.unique(way.sent_ns // period_ns))
+    if sent >= 2 * times and (times == 1 or usual_spacing_ns(way, period_ns) > period_ns):
+        yield (
+            f"{sent} packets have only {times} time{'s' * (times > 1)} of sending, and of each the "
+            "longest delay counts; are the times cut short?"
+        )
+    elif sent >= _DENSE * periods:
+        yield (
+            f"{sent} packets in {periods} period{'s' * (periods > 1)}, and of each the longest "
+            "delay counts; is the unit of the times right?"
+        )
+
+
+def _quantile_note(way: Way, way_ns: np.ndarray) -> Iterator[str]:
+    """A note for the user if the interpolated delays have another high quantile than packets."""
+    packets_ns = np.quantile(way.delay_ns[~way.lost], _HIGH)
+    periods_ns = np.quantile(way_ns[way_ns != LOST], _HIGH)
+    if abs(periods_ns - packets_ns) > _OTHER * packets_ns and len(way.sent_ns) < len(way_ns):
+        yield (
+            f"{100 * _HIGH:g} % of the packets took at most {packets_ns * 1e-6:.4g} ms, "
+            f"{100 * _HIGH:g} % of the periods {periods_ns * 1e-6:.4g} ms, since delays in between "
+            "are interpolated"
+        )
+
+
+def _spacing_ns(way: Way, period_ns: int) -> float:
+    """The usual time between packets, or the mean one if a period has several [ns]."""
+    mean = float(way.sent_ns[-1] - way.sent_ns[0]) / max(len(way.sent_ns) - 1, 1)
+    usual = usual_spacing_ns(way, period_ns)
+    return usual if usual > period_ns else mean
 
 
 def _binned(series: Series, start_ns: int, n: int, period_ns: int) -> np.ndarray:
@@ -234,6 +276,7 @@ def _metadata(
         **measured.metadata,
         "packets": {direction: way.counted[0] for direction, way in known.items()},
         "packets_lost": {direction: way.counted[1] for direction, way in known.items()},
+        "spacing_ms": {d: round(_spacing_ns(way, period_ns) * 1e-6, 6) for d, way in known.items()},
         "span_s": n * period_ns * 1e-9,
         "period_us": period_ns / 1000,
         **{f"{direction}_bytes": size for direction, size in sizes.items()},

@@ -5,7 +5,7 @@ The columns are `sent` and one of `received`, `delay` (one way) and `rtt` (half 
 number from 1 in a table without names. `sec+nanosec` and `date+time` are two columns in one. A unit
 stands in the name, as in `pub_time(ms)` or `delay_ms`, or one unit holds for all. Dates and times
 of day need none. A packet is lost if its delay is empty, nan, `lost` or the like, or the value of
-`--lost`.
+`--lost`. With a `seq`, the number of each packet, a number that no row has is a lost packet.
 
 With an `id` there are two tables, the sender's and the receiver's. Each has a time and the id of
 each packet. The importer knows the headers of two tables: CICV5G's, and irtt's in parquet as
@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from netem.importers.columns import LOST_NS, Read
+from netem.importers.columns import LOST_NS, Read, lost_flag
 from netem.importers.irtt import HALF_NOTE
 from netem.importers.measured import (
     Measured,
@@ -33,9 +33,10 @@ from netem.importers.measured import (
 )
 from netem.importers.options import Options
 from netem.importers.resemblance import columns_by_names
+from netem.importers.sequence import skipped, unwrapped, with_skipped
 from netem.importers.source import content_lines, head, wrong
 from netem.importers.table_parquet import PARQUET, first_cells, parquet_names, read_parquet
-from netem.importers.table_text import read_text, split_names
+from netem.importers.table_text import header_of, read_text, split_names
 from netem.importers.times import bare
 from shared.errors import ConfigError, ProfileError
 
@@ -47,6 +48,15 @@ _KNOWN = (
     },
 )
 _MEANINGS = ("received", "delay", "rtt", "uplink", "downlink")
+# Names of the column of the packets' numbers.
+_SEQUENCE = frozenset(
+    (
+        *("seq", "seqno", "seqnum", "seq_no", "seq_num", "sequence", "sequence_number"),
+        *("icmp_seq", "packet_id", "packet_no", "pkt_id", "msg_id", "counter", "header.seq"),
+    )
+)
+# Numbers that step back more often than this count something else.
+_OUT_OF_ORDER = 0.05
 # The minimum distance of the mark of a lost packet from every delay [units].
 _APART = 3
 # The least ratio of a mark such as 9999 to the longest delay.
@@ -67,7 +77,7 @@ def read_table(path: Path, options: Options, direction: int) -> Measured:
     columns = options.columns or _columns_of(path)
     if "id" in columns:
         return _joined(path, options, direction)
-    others = tuple(key for key in columns if key != "sent")
+    others = tuple(key for key in columns if key not in ("sent", "seq"))
     timed = "sent" in columns or options.interval_ns is not None
     if not timed or not others or any(key not in _MEANINGS for key in others):
         raise ConfigError(
@@ -77,22 +87,27 @@ def read_table(path: Path, options: Options, direction: int) -> Measured:
             f"{'' if columns else _advice(path)}"
         )
     read = _read(path, columns, options)
-    values, notes = read.values, read.notes
+    values, notes = dict(read.values), read.notes
+    for key in others:
+        _expect_no_mark(path, key, read, options)
+        notes += _mark_notes(key, values[key], read.units_ns.get(key), options)
     if "sent" in columns:
-        sent = values["sent"]
-        notes += stepped_back_note(sent)
+        notes += stepped_back_note(values["sent"])
     else:
         interval_ns = options.interval_ns or 0
-        sent = np.arange(len(values[others[0]])) * interval_ns
+        values["sent"] = np.arange(len(values[others[0]])) * interval_ns
         notes += (f"rows taken to be {interval_ns * 1e-6:g} ms apart (--interval)",)
+    if "seq" in columns:
+        numbers = values.pop("seq")
+        notes += (f"{skipped(numbers)} packets lost by their numbers ({columns['seq']})",)
+        if "sent" not in columns:
+            del values["sent"]
+        values = with_skipped(path, numbers, values, options.interval_ns)
+    elif not any((values[key] == LOST_NS).any() for key in others):
+        notes += _skips_note(path, columns, options)
+    sent = values["sent"]
     lost = {key: values[key] == LOST_NS for key in others}
     delays = {key: np.where(lost[key], 0, values[key]) for key in others}
-    for key in others:
-        _expect_no_mark(path, key, read)
-        none = int(((delays[key] == 0) & ~lost[key]).sum())
-        if none and key != "received":
-            notes += (f"{none} of {len(sent)} {key} values are exactly 0; if lost, try --lost 0",)
-        notes += _large_mark_note(key, delays[key][~lost[key]], read.units_ns.get(key))
     if "rtt" in others:
         ways = halved(sent, delays["rtt"], lost["rtt"])
         return Measured(ways, (HALF_NOTE, *notes), {"split": "half"})
@@ -179,32 +194,66 @@ def _read(path: Path, columns: Mapping[str, str], options: Options) -> Read:
     return read
 
 
-def _large_mark_note(key: str, known: np.ndarray, unit: int | None) -> tuple[str, ...]:
-    """Return a note on one large value, such as 9999, that may stand for lost packets."""
-    if unit is None or key == "received" or not len(known):
+def _mark_notes(
+    key: str, values: np.ndarray, unit: int | None, options: Options
+) -> tuple[str, ...]:
+    """Notes on values that may stand for lost packets: exact zeros, and one such as 9999."""
+    known = values[values != LOST_NS]
+    if key == "received" or not len(known):
         return ()
+    notes: tuple[str, ...] = ()
+    if none := int((known == 0).sum()):
+        flag = lost_flag(options, 0)
+        notes = (f"{none} of {len(values)} {key} values are exactly 0; if lost, try {flag}",)
     largest = int(known.max())
     rest, count = known[known < largest], int((known == largest).sum())
-    if count < 2 or largest % unit or not len(rest) or largest < _FAR * max(int(rest.max()), unit):
-        return ()
+    far = len(rest) and unit and largest >= _FAR * max(int(rest.max()), unit)
+    if not far or count < 2 or not unit or largest % unit:
+        return notes
+    mark = largest // unit
     return (
-        f"{count} of {len(known)} {key} values are exactly {largest // unit}, the next is "
-        f"{rest.max() / unit:g}; if lost, try --lost {largest // unit}",
+        *notes,
+        f"{count} of {len(known)} {key} values are exactly {mark}, the next is "
+        f"{rest.max() / unit:g}; if lost, try {lost_flag(options, mark)}",
     )
 
 
-def _expect_no_mark(path: Path, key: str, read: Read) -> None:
+def _skips_note(path: Path, columns: Mapping[str, str], options: Options) -> tuple[str, ...]:
+    """A note on numbers of packets that skip some; empty without a column of such numbers."""
+    if head(path, size=4) == PARQUET:
+        names = parquet_names(path)
+    else:
+        names = header_of(path, columns)
+    name = next((each for each in names if each.lower() in _SEQUENCE), None)
+    if name is None:
+        return ()
+    try:
+        numbers = _read(path, {**columns, "seq": name}, options).values["seq"]
+    except ProfileError:
+        return ()
+    steps = np.diff(unwrapped(numbers))
+    missing = skipped(numbers)
+    if not missing or (steps < 0).mean() > _OUT_OF_ORDER or np.median(steps) != 1:
+        return ()
+    return (
+        f"the numbers in {name} skip {missing} of {missing + len(numbers)} packets; if these were "
+        f"lost, add seq={name} to --columns",
+    )
+
+
+def _expect_no_mark(path: Path, key: str, read: Read, options: Options) -> None:
     """Raise `ProfileError` if one value below all others, such as −1, stands for lost packets."""
     values, unit = read.values[key], read.units_ns.get(key)
     known = values[values != LOST_NS]
     low = known[known <= 0] if key == "received" else known[known < 0]
     if unit is None or not len(low) or low.min() != low.max() or low[0] % unit:
         return
-    rest, mark = known[known > low[0]], int(low[0]) // unit
+    # Exact zeros are a mark of their own.
+    rest, mark = known[(known > low[0]) & (known != 0)], int(low[0]) // unit
     if (len(low) > 1 or mark in (-1, 0)) and len(rest) and rest.min() > low[0] + _APART * unit:
         where = read.rows[int(np.flatnonzero(values == low[0])[0])]
         raise ProfileError(
             f"{path}, {where}: expected {key} as a time, got {mark}, as in {len(low)} of "
             f"{len(values)} rows and with no other {'negative ' * (mark < 0)}value near it; try "
-            f"--lost {mark} if these were lost"
+            f"{lost_flag(options, mark)} if these were lost"
         )

@@ -8,7 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from netem.importers.columns import LOST_NS, Place, Read, found_in, is_lost, place_of, value_ns
+from netem.importers.columns import (
+    LOST_NS,
+    Place,
+    Read,
+    found_in,
+    is_lost,
+    place_of,
+    sequence_number,
+    value_ns,
+)
 from netem.importers.measured import UNITS_NS
 from netem.importers.options import Options
 from netem.importers.source import MAX_NS, MAX_RECORDS, wrong
@@ -29,6 +38,13 @@ def read_parquet(path: Path, columns: Mapping[str, str], options: Options) -> Re
         place = place_of(path, "schema", name, names, options.unit, names)
         if key == "id":
             ids = [str(each) for each in _column(path, names[place.at[0]]).to_pylist()]
+            continue
+        if key == "seq":
+            cells = _column(path, names[place.at[0]]).to_pylist()
+            values[key] = np.array(
+                [sequence_number(str(c), path, f"row {k + 1}") for k, c in enumerate(cells)],
+                dtype=np.int64,
+            )
             continue
         parts = [
             _parquet_times(path, names[at], unit, key, options)
@@ -74,7 +90,7 @@ def _parquet_times(
     lost = column.is_null().to_numpy(zero_copy_only=False) | np.isnan(cells)
     if key not in ("sent", "time"):
         lost |= np.isposinf(cells)
-        if options.lost is not None:
+        if options.lost:
             lost |= np.array([is_lost(str(cell), options) for cell in cells.tolist()], dtype=bool)
     cells = np.where(lost, 0, cells)
     whole = cells.dtype.kind in "iu"

@@ -11,10 +11,26 @@ from typing import Any
 
 import numpy as np
 
-from netem.importers.columns import LOST_NS, TIMES, Read, found_in, place_of, units_ns, value_ns
+from netem.importers.columns import (
+    LOST_NS,
+    TIMES,
+    Read,
+    found_in,
+    place_of,
+    sequence_number,
+    units_ns,
+    value_ns,
+)
 from netem.importers.options import Options
 from netem.importers.source import content_lines, lines, wrong
-from netem.importers.times import DAY_NOTE, bare, is_time_of_day, past_midnight
+from netem.importers.times import (
+    DAY_NOTE,
+    bare,
+    is_time_of_day,
+    on_day_of,
+    past_midnight,
+    unit_ns,
+)
 from shared.errors import ProfileError
 
 # The maximum number of lines in which the importer looks for a header.
@@ -24,6 +40,10 @@ PREAMBLE = 50
 def read_text(path: Path, columns: Mapping[str, str], options: Options) -> Read:
     where, header, names = _header(path, columns)
     separator = _separator(header)
+    first = next((row for row in content_lines(path) if row[0] > where), (where, ""))
+    if names and _are_units(units := split_names(first[1]), columns, names):
+        where = first[0]
+        names = [f"{name} [{unit.strip('[]() ')}]" for name, unit in zip(names, units, strict=True)]
     below = (row for row in content_lines(path) if row[0] > where)
     places = {
         key: place_of(path, f"line {where}", name, names, options.unit, split_names(header))
@@ -48,6 +68,9 @@ def read_text(path: Path, columns: Mapping[str, str], options: Options) -> Read:
                 if key == "id":
                     ids.append(written[0])
                     continue
+                if key == "seq":
+                    row[key] = sequence_number(written[0], path, f"line {line}")
+                    continue
                 row[key] = value_ns(written, place, key, separator, options, path, f"line {line}")
                 if key in TIMES and ":" in written[-1] and is_time_of_day(" ".join(written)):
                     clock.add(key)
@@ -62,7 +85,11 @@ def read_text(path: Path, columns: Mapping[str, str], options: Options) -> Read:
         numbers.append(line)
     read = {key: np.array(column, dtype=np.int64) for key, column in values.items()}
     for key in clock:
-        read[key] = np.where(read[key] == LOST_NS, LOST_NS, past_midnight(read[key]))
+        known = read[key] != LOST_NS
+        read[key][known] = past_midnight(read[key][known])
+    if {"sent", "received"} <= clock:
+        known = read["received"] != LOST_NS
+        read["received"][known] = on_day_of(read["received"][known], read["sent"][known])
     notes += (DAY_NOTE,) * bool(clock)
     return Read(read, _Lines(numbers), units_ns(places), ids, notes)
 
@@ -78,6 +105,11 @@ class _Lines(Sequence[str]):
 
     def __getitem__(self, k: Any) -> Any:
         return f"line {self._numbers[k]}"
+
+
+def header_of(path: Path, columns: Mapping[str, str]) -> list[str]:
+    """The names of all columns; empty if the user counts them."""
+    return _header(path, columns)[2]
 
 
 def _header(path: Path, columns: Mapping[str, str]) -> tuple[int, str, list[str]]:
@@ -98,6 +130,12 @@ def _header(path: Path, columns: Mapping[str, str]) -> tuple[int, str, list[str]
         return 0, below, []
     missing = next(name for name in columns.values() if not found_in(name, split_names(first[1])))
     raise wrong(path, f"line {first[0]}", f"a column {missing}", ", ".join(split_names(first[1])))
+
+
+def _are_units(cells: list[str], columns: Mapping[str, str], names: list[str]) -> bool:
+    """Return whether the row below the header has the units of the columns that are asked for."""
+    asked = {at for name in columns.values() for at in found_in(name, names)}
+    return len(cells) == len(names) and all(unit_ns("", f"[{cells[at].strip('[]() ')}]") for at in asked)
 
 
 def _separator(header: str) -> str | None:
