@@ -30,6 +30,44 @@ _MAGICS = (
     (b"\x28\xb5\x2f\xfd", "compressed by zstd", "unpack it"),
     (b"7z\xbc\xaf", "a 7z archive", "unpack it"),
     (b"%PDF", "a PDF", "take the numbers that it is made of"),
+    (b"\x93NUMPY", "a NumPy array", "numpy.savetxt(FILE, array)"),
+    (b"MATLAB 5.0", "MATLAB's variables", "writematrix(array, FILE)"),
+    (b"\x80\x04\x95", "a pickle", "write its columns as CSV or parquet"),
+    (b"version https://git-lfs", "a pointer of Git LFS", "git lfs pull"),
+)
+_TABLE = "write times and delays as CSV, a packet a line"
+# The same of texts: a pattern of a line.
+_TEXTS = tuple(
+    (re.compile(pattern, re.MULTILINE), kind, advice)
+    for pattern, kind, advice in (
+        (r"\bseq=\d+ rtt=[\d.]+[mµu]?s\b", "irtt's text", f"its JSON, of {_IRTT}"),
+        (
+            r'"version":\s*"iperf|^\[ *ID\] *Interval|^Connecting to host',
+            "iperf's sums, without delays of packets",
+            f"ping -D or {_IRTT}",
+        ),
+        ("<FlowMonitor", "ns-3's FlowMonitor: sums, no packets", "*PdcpStats.txt"),
+        (r"\A\s*<(?:!DOCTYPE )?html", "a page of the web", "the file itself (its raw form)"),
+        (
+            r"^(?:\S+ )?\S+ IP6? \S+ > \S+: ",
+            "tcpdump's text",
+            "captures at both ends by tcpdump -w FILE.pcap",
+        ),
+        (
+            r"^HOST: .*Loss%|\A\s*(?:traceroute6? to|Tracing route to) ",
+            "the routes of mtr or traceroute",
+            f"ping -D or {_IRTT}",
+        ),
+        (r"^\S+ +: (?:[\d.]+|-)(?: (?:[\d.]+|-))+$", "fping's lists without times", "fping -D -l"),
+        (r'\A\s*\{"(?:resp|timeout)": ', "fping's JSON", "fping -D -l"),
+        (r"^SENT \([\d.]+s\) ", "the log of nping", "ping -D"),
+        (r"^Flow>\d+ Seq>\d+ ", "the log of D-ITG", _TABLE),
+        (r"^seq_no=\d+ +(?:delay=|\*LOST)", "the log of owping", _TABLE),
+        (r"^Success rate is \d+ percent", "the sums of a router's ping", "ping -D"),
+        (r"^[+r-] [\d.]+ /NodeList/", "ns-3's trace of packets", "*PdcpStats.txt or pcap"),
+        (r"\btime=[\d.]+ ?m?sec\b|^Unicast reply from ", "the log of arping", "ping -D"),
+        (r"^Probing .* - time=[\d.]+ ?ms", "the log of tcping", "ping -D"),
+    )
 )
 # Patterns of the names of columns, and their meaning. The first pattern that fits counts.
 _NAMES: tuple[tuple[str, str], ...] = (
@@ -39,6 +77,10 @@ _NAMES: tuple[tuple[str, str], ...] = (
     ("downlink", "downlink dl down"),
     ("rtt", "rtt roundtrip trip ping latency"),
     ("delay", "delay owd oneway latencies d"),
+)
+# Names of columns that have sums over packets.
+_SUMS = frozenset(
+    "avg average mean median min max std stddev stdev mdev worst best jitter loss lost".split()
 )
 
 
@@ -50,12 +92,11 @@ def refuse_others(path: Path, start: bytes) -> None:
         if start.startswith(magic):
             raise _refusal(path, kind, advice)
     text = decoded(start)
-    if re.search(r"\bseq=\d+ rtt=[\d.]+[mµu]?s\b", text):
-        raise _refusal(path, "irtt's text", f"its JSON, of {_IRTT}")
-    if re.search(r'"version":\s*"iperf|^\[ *ID\] Interval|^Connecting to host', text, re.MULTILINE):
-        raise _refusal(path, "iperf's sums, without delays of packets", f"ping -D or {_IRTT}")
-    if "<FlowMonitor" in text:
-        raise _refusal(path, "ns-3's FlowMonitor: sums, no packets", "*PdcpStats.txt")
+    if not text.strip():
+        raise _refusal(path, "an empty file", "another file")
+    for pattern, kind, advice in _TEXTS:
+        if pattern.search(text):
+            raise _refusal(path, kind, advice)
 
 
 def _refusal(path: Path, kind: str, advice: str) -> ProfileError:
@@ -64,6 +105,8 @@ def _refusal(path: Path, kind: str, advice: str) -> ProfileError:
 
 def resemblance(content: list[str]) -> str:
     """A description of the lines, with the flags that would read them; empty if there is none."""
+    if content and re.match(r"\s*[{[]", content[0]):
+        return f"it is JSON of no known program: {_TABLE}"
     rows = [split_names(line) for line in content[:PREAMBLE]]
     if not rows:
         return ""
@@ -87,7 +130,21 @@ def resemblance(content: list[str]) -> str:
     for names, row in itertools.pairwise(rows):
         if flags := columns_by_names(names, row):
             return f"it looks like a table: try {flags}"
-    return ""
+    return next(filter(None, itertools.starmap(_unnamed, itertools.pairwise(rows))), "")
+
+
+def _unnamed(names: list[str], row: list[str]) -> str:
+    """Return words on a table whose names do not tell which column has the delays."""
+    if len(names) != len(row) or len(names) < 2 or any(_is_number(name) for name in names):
+        return ""
+    if sums := [name for name in names if _words(name) & _SUMS]:
+        return f"it looks like a table of sums ({', '.join(sums[:3])}): a row of each packet is needed"
+    if sum(_is_number(cell) or date_time_ns(cell) is not None for cell in row) < 2:
+        return ""
+    return (
+        f"it looks like a table of {', '.join(names[:6])}{', …' * (len(names) > 6)}: name a time and a "
+        "delay, as in --columns 'sent=TIME(s),rtt=DELAY(ms)'"
+    )
 
 
 def columns_by_names(names: list[str], row: list[str]) -> str:
@@ -117,9 +174,15 @@ def columns_by_names(names: list[str], row: list[str]) -> str:
     return f"--columns '{columns}'" + ("" if timed else " --interval 10ms")
 
 
-def _meaning(name: str) -> str | None:
+def _words(name: str) -> set[str]:
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare(name))
-    words = set(re.findall(r"[a-z]+", spaced.lower()))
+    return set(re.findall(r"[a-z]+", spaced.lower()))
+
+
+def _meaning(name: str) -> str | None:
+    words = _words(name)
+    if words & _SUMS:
+        return None
     return next((key for key, of in _NAMES if words & set(of.split())), None)
 
 

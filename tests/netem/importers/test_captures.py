@@ -9,6 +9,7 @@ from netem.profile import DOWNLINK, LOST, UPLINK
 
 MS = 1_000_000
 ROBOT, EDGE = bytes([10, 0, 0, 1]), bytes([10, 0, 0, 2])
+OTHER = ("--other-way", "same")
 MAGICS = {("<", 1000): 0xA1B2C3D4, ("<", 1): 0xA1B23C4D}
 
 
@@ -406,3 +407,72 @@ def test_a_damaged_capture_is_named_with_its_record(refused, written, damage, wo
     text = refused(written("a.pcap", damage(pcap(near))), written("b.pcap", pcap(far)))
     assert "a.pcap" in text
     assert words in text
+
+
+# Captures that differ by how they were made ------------------------------------------------------
+
+
+def segment(number, payload, *, identity, ports=(40000, 22)):
+    tcp = struct.pack(">HHIIBBHHH", *ports, number, 0, 0x50, 0x18, 1000, 0, 0)
+    return ip(tcp + payload, identity=identity, protocol=6)
+
+
+def test_a_connection_that_the_other_capture_leaves_out_is_not_lost(convert, written):
+    near, far = messages(20, delay_ns=5 * MS, lost=(7,))
+    shell = [
+        (10**9 + k * MS + 500_000, segment(k, b"y" * 9, identity=k + 500)) for k in range(1, 15)
+    ]
+    mixed = sorted(near + shell)
+    profile = convert(written("n.pcap", pcap(mixed)), written("f.pcap", pcap(far)), *OTHER)
+    assert profile.metadata["packets_lost"]["uplink"] == 1
+    assert (
+        "uplink: left out 14 packets of TCP 10.0.0.1:40000 > 10.0.0.2:22, of which the other "
+        "capture has none (its filter?)"
+    ) in profile.metadata["notes"]
+    # A few packets may be lost by chance.
+    few = sorted(near + shell[:3])
+    profile = convert(written("n.pcap", pcap(few)), written("f.pcap", pcap(far)), *OTHER)
+    assert not any("left out" in note for note in profile.metadata["notes"])
+
+
+@pytest.mark.parametrize("joined_at", ["sender", "receiver"])
+def test_packets_that_a_network_card_cuts_or_joins_are_refused(refused, written, joined_at):
+    whole = [(10**9 + k * MS, segment(2800 * k, b"y" * 2800, identity=2 * k)) for k in range(9)]
+    parts = [
+        (10**9 + k * MS + j, segment(2800 * k + 1400 * j, b"y" * 1400, identity=2 * k + j))
+        for k in range(9)
+        for j in range(2)
+    ]
+    acks = messages(9, delay_ns=MS)
+    near, far = (whole, parts) if joined_at == "sender" else (parts, whole)
+    far = [(t + 5 * MS, packet) for t, packet in far]
+    text = refused(
+        written("n.pcap", pcap(sorted(near + acks[0]))),
+        written("f.pcap", pcap(sorted(far + acks[1]))),
+        *OTHER,
+    )
+    name = "n.pcap" if joined_at == "sender" else "f.pcap"
+    assert f"{name}: expected packets as they are on the wire, got one of 2820 bytes" in text
+    assert "gro off" in text
+
+
+def test_one_capture_for_both_ends_is_refused(refused, written):
+    near, _ = messages(5, delay_ns=MS)
+    file = written("n.pcap", pcap(near))
+    assert "expected captures of two ends, got each packet at the same time" in refused(file, file)
+
+
+def test_a_capture_that_was_stopped_is_refused_with_the_remedy(refused, written):
+    near, far = messages(5, delay_ns=MS)
+    text = refused(written("n.pcap", pcap(near)[:-9]), written("f.pcap", pcap(far)), *OTHER)
+    assert "n.pcap, record 5" in text
+    assert "try editcap IN OUT" in text
+
+
+def test_the_way_of_a_single_flow_is_told(convert, written):
+    near, far = messages(5, delay_ns=MS)
+    files = written("n.pcap", pcap(near)), written("f.pcap", pcap(far))
+    words = "uplink: 10.0.0.1 > 10.0.0.2, because n.pcap saw these packets first; --robot ADDRESS"
+    assert any(words in note for note in convert(*files, *OTHER).metadata["notes"])
+    profile = convert(*files, *OTHER, "--robot", "10.0.0.1")
+    assert not any("saw these packets" in note for note in profile.metadata["notes"])

@@ -26,6 +26,22 @@ MS = 1_000_000
         (b"seq=0 rtt=201\xc2\xb5s rd=95\xc2\xb5s\n", "irtt's text"),
         (b'{"start": {"version": "iperf 3.9"}, "intervals": []}', "iperf's sums"),
         (b"Connecting to host 192.0.2.7, port 5201\n[  5] local\n", "iperf's sums"),
+        (b"[ ID] Interval       Transfer\n[  3]  0.0- 1.0 sec\n", "iperf's sums"),
+        (b"\n \n", "an empty file"),
+        (b"\x93NUMPY\x01\x00v\x00", "a NumPy array; try: numpy.savetxt"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        (b"<!DOCTYPE html>\n<html>\n", "a page of the web"),
+        (
+            b"22:13:20.123456 IP 192.0.2.1 > 192.0.2.7: ICMP echo request, id 1, seq 1, length 64\n",
+            "tcpdump -w FILE.pcap",
+        ),
+        (b"traceroute to 192.0.2.7 (192.0.2.7), 30 hops max\n 1  a  0.3 ms\n", "the routes of mtr"),
+        (b"Start: 2023\nHOST: robot     Loss%   Snt   Last\n  1.|-- a  0.0%\n", "the routes of mtr"),
+        (b"192.0.2.7 : 12.3 11.2 - 10.1\n", "fping's lists without times; try: fping -D -l"),
+        (b'{"resp": {"host":"192.0.2.7","seq":0,"rtt":0.057}}\n', "fping's JSON"),
+        (b"seq_no=0       delay=1.23 ms   (sync, err=0.5 ms)\n", "the log of owping"),
+        (b"Flow>1 Seq>1 Src>192.0.2.1/9 txTime>22:13:20.1 rxTime>22:13:20.2\n", "the log of D-ITG"),
+        (b"Unicast reply from 192.0.2.7 [AA:BB:CC:DD:EE:FF]  1.234ms\n", "the log of arping"),
     ],
 )
 def test_a_file_without_delays_is_refused_by_name(refused, written, content, words):
@@ -50,7 +66,12 @@ def test_a_file_without_delays_is_refused_by_name(refused, written, content, wor
         ("t_s,u_ms,d_ms\n0,1,2\n", "--columns 'sent=t_s,uplink=u_ms,downlink=d_ms'"),
         ("n rtt_ms\n1 20\n2 21\n", "--columns 'rtt=rtt_ms' --interval 10ms"),
         ("dear diary\n", "--columns names the columns of any other table"),
-        ("", "--columns names the columns"),
+        ("# a comment\n", "--columns names the columns"),
+        ("time,pack\n2019-08-30 21:46:43,86.0\n", "a table of time, pack: name a time and a delay"),
+        ("start,ping_avg,loss\n1700000000,57.7,0.4\n", "a table of sums (ping_avg, loss)"),
+        ('{"t": 1.0, "rtt": 20.1}\n{"t": 1.1, "rtt": 20.4}\n', "JSON of no known program"),
+        ("[20.1, 20.2]\n", "JSON of no known program"),
+        ("t,RTT\n11/14/2023 10:13:20 PM,20\n", "--columns 'sent=t,rtt=RTT(ms)'"),
     ],
 )
 def test_what_is_like_no_format_is_told_what_it_resembles(refused, written, content, words):

@@ -319,6 +319,12 @@ STAMPS = {
     "date": "{d:%a %b %e %H:%M:%S.%f} CET {d:%Y}: ",
     "date of other order": "{d:%a %d %b %Y %I:%M:%S.%f} {d:%p} UTC ",
     "time of day": "{d:%H:%M:%S.%f} ",
+    "month first": "{d:%m/%d/%Y %I:%M:%S.%f %p} - ",
+    "day first": "{d:%d.%m.%Y %H:%M:%S.%f} ",
+    "ISO without separators": "{d:%Y%m%dT%H%M%S.%f}Z ",
+    "syslog": "<13>1 {d:%Y-%m-%dT%H:%M:%S.%f}Z robot ping - - - ",
+    "journal": "{d:%b %d %H:%M:%S.%f} robot ping[712]: ",
+    "µs behind a colon": "{d:%Y-%m-%d %H:%M:%S:%f} ",
 }
 
 
@@ -371,6 +377,28 @@ def test_a_clock_that_was_set_back_during_a_log_is_told_and_goes_on(convert, wri
     assert any("set back by 5 s before the ping number 7" in n for n in profile.metadata["notes"])
 
 
+def test_a_pause_shows_in_times_of_whole_seconds_too(refused, convert, written):
+    lines = [f"[{1_700_000_000 + k + 100 * (k > 60)}] {reply(k, 2)}" for k in range(1, 121)]
+    tail = "\n120 packets transmitted, 120 received, 0% packet loss, time 219000ms\n"
+    file = written("p.log", log(*lines, tail=tail))
+    assert "100 s without packets, 60 s after the first" in refused(file)
+    assert convert(file, "--pause", "cut", "--period", "1s").delays_ns.shape == (2, 120)
+
+
+@pytest.mark.parametrize("stamp", ["0.100000 ", "Q1 22:13:20.5 "])
+def test_times_that_are_not_read_are_no_log_without_times(convert, refused, written, stamp):
+    file = written("p.log", log(*(stamp + reply(k, 2) for k in range(1, 9))))
+    assert "expected times as in [1700000000.5], 2023-11-14 22:13:20.5 or 22:13:20.5" in refused(
+        file
+    )
+    assert convert(file, "--interval", "10ms").delays_ns.shape == (2, 71)
+
+
+def test_times_since_the_line_before_are_refused(refused, written):
+    lines = [f"00:00:00.{100_000 + 3000 * (k % 2):06d} {reply(k, 2)}" for k in range(1, 40)]
+    assert "expected times that go on from ping to ping" in refused(written("p.log", log(*lines)))
+
+
 def test_a_clock_that_was_set_forward_is_refused_as_a_pause(refused, written):
     lines = [f"[{1_700_000_000 + k / 10 + 5 * (k > 6):.6f}] {reply(k, 2)}" for k in range(20)]
     assert "5 s without packets" in refused(written("p.log", log(*lines)))
@@ -417,14 +445,14 @@ WINDOWS = {
 }
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp866"])
 @pytest.mark.parametrize("language", WINDOWS)
 def test_the_pings_of_windows_are_read_in_any_language(convert, written, language, encoding):
     frame, answer, lost = WINDOWS[language]
     lines = [lost, *(answer.format(t=t) for t in (87, 12, 13))]
     text = frame.format(lines="\n".join(lines) + "\n").replace("\n", "\r\n")
     profile = convert(
-        written("p.txt", text.encode(encoding)), "--interval", "10ms", "--period", "10ms"
+        written("p.txt", text.encode(encoding, errors="replace")), "--interval", "10ms", "--period", "10ms"
     )
     assert profile.delays_ns[UPLINK].tolist() == [LOST, 43_500_000, 6 * MS, 6_500_000]
     assert profile.metadata["format"] == "ping"
@@ -436,6 +464,8 @@ def test_windows_that_says_other_numbers_than_its_lines_is_refused(refused, writ
     assert "expected 1 pings sent" in refused(written("p.txt", text))
     two = frame.replace("4", "1").replace("3", "1").format(lines=answer.format(t=5) + "\n") * 2
     assert "one run of ping" in refused(written("p.txt", two))
+    runs = log(reply(1, 2)) + log(reply(1, 3))
+    assert refused(written("p.log", runs)).endswith("; cut the log there")
 
 
 def test_a_time_below_a_millisecond_is_said(convert, written):
@@ -463,4 +493,7 @@ def test_fping_is_read_with_its_times(convert, refused, written):
 
 def test_a_log_without_replies_is_refused(refused, written):
     text = refused(written("p.log", log("From 10.0.0.254 icmp_seq=1 Destination Host Unreachable")))
-    assert "replies" in text
+    assert "a line for each reply" in text
+    alone = "\n--- 10.0.0.1 ping statistics ---\n100 packets transmitted, 98 received, 2% packet loss"
+    text = refused(written("p.log", log(tail=alone)))
+    assert text.endswith("got none of 100; ping a host that answers, without -q and -f")

@@ -248,3 +248,19 @@ def test_what_may_still_be_under_way_at_the_end_is_neither_lost_nor_delayed():
     assert left_out == 1
     assert kept.sent_ns.tolist() == [0, 10, 20]
     assert kept.lost.tolist() == [False, True, False]
+
+
+def test_a_time_without_packets_is_told_if_none_is_lost():
+    packets = [(k * 10 * MS, MS) for k in range(40) if not 20 <= k < 30]
+    words = "no packet is marked as lost, and 0.11 s passed without one, 0.01 s usually"
+    assert any(words in note for note in profile_of(packets).metadata["notes"])
+    told = profile_of([*packets, (400 * MS, LOST), (410 * MS, MS)]).metadata["notes"]
+    assert not any("passed without" in note for note in told)
+
+
+def test_high_quantiles_that_interpolation_lowers_are_told():
+    packets = [(k * 10 * MS, (1 + 99 * (k % 10 == 5)) * MS) for k in range(100)]
+    words = "99 % of the packets took at most 100 ms, 99 % of the periods"
+    assert any(words in note for note in profile_of(packets).metadata["notes"])
+    steady = [(k * 10 * MS, MS) for k in range(100)]
+    assert not any("99 %" in note for note in profile_of(steady).metadata["notes"])

@@ -157,7 +157,7 @@ def test_columns_that_say_too_little_are_refused(refused, written, columns, word
 # What lost looks like --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mark", ["nan", "NaN", "NA", "N/A", "-", "--", "timeout", "Timed Out", ""])
+@pytest.mark.parametrize("mark", ["nan", "-nan", "#N/A", "Request timed out", "NA", "N/A", "-", "--", "timeout", "Timed Out", ""])
 def test_what_stands_for_lost_is_lost(convert, written, mark):
     file = written("t.csv", f"t_s,rtt_ms\n0,20\n0.05,{mark}\n0.1,20\n")
     profile = convert(file, "--columns", "sent=t_s,rtt=rtt_ms", *EACH[:2])
@@ -181,6 +181,19 @@ def test_negatives_that_are_all_one_value_are_no_matter_of_clocks(refused, writt
     text = refused(file, "--columns", "sent=t_s,uplink=u_ms,downlink=d_ms", *clock)
     assert "t.csv, line 3: expected downlink as a time, got -1, as in 4 of 20 rows" in text
     assert "--lost -1" in text
+
+
+def test_two_values_may_stand_for_lost(convert, refused, written):
+    # As in tables made from irtt's files: −1 on the way of the loss, 0 on the other.
+    rows = "".join(f"{k / 20},{0 if k % 5 == 1 else 20},{-1 if k % 5 == 1 else 20}\n" for k in range(20))
+    file = written("t.csv", "t_s,u_ms,d_ms\n" + rows)
+    columns = ("--columns", "sent=t_s,uplink=u_ms,downlink=d_ms")
+    assert "got -1, as in 4 of 20 rows" in refused(file, *columns)
+    assert refused(file, *columns, "--lost", "0").endswith("try --lost=0,-1 if these were lost")
+    notes = convert(file, *columns, "--lost", "-1").metadata["notes"]
+    assert "4 of 20 uplink values are exactly 0; if lost, try --lost=-1,0" in notes
+    profile = convert(file, *columns, "--lost=-1,0")
+    assert profile.metadata["packets_lost"] == {"uplink": 4, "downlink": 4}
 
 
 def test_a_time_of_receiving_of_zero_is_recognised_too(refused, written):
@@ -213,6 +226,10 @@ def test_delays_of_exactly_zero_are_told(convert, written):
         ("t", ["2023-11-14 22:13:20", "2023-11-14 22:13:20.050000000"], "t"),
         ("t", ["2023/11/14 22:13:20,00", "2023/11/14 22:13:20,05"], "t"),
         ("t", ["23:59:59.97", "00:00:00.02"], "t"),
+        ("t", ["11/14/2023 10:13:20.97 PM", "11/14/2023 10:13:21.02 PM"], "t"),
+        ("t", ["14.11.2023 23:59:59.97", "15.11.2023 00:00:00.02"], "t"),
+        ("t", ["20231114T221320.97Z", "20231114T221321.02Z"], "t"),
+        ("t", ["2023-11-14 22:13:20:970", "2023-11-14 22:13:21:020"], "t"),
         ("date;time", ["2023-11-14;22:13:20.97", "2023-11-14;22:13:21.02"], "date+time"),
         ("sec;nanosec", ["7;970000000", "8;20000000"], "sec+nanosec"),
         ("a.sec;a.nsec", ["7;970000000", "8;20000000"], "a.sec + a.nsec"),
@@ -425,3 +442,71 @@ def test_milliseconds_taken_for_seconds_are_refused_as_hours(refused, written):
     text = "t,d\n" + "".join(f"{1721808645000 + 50 * k},4000\n" for k in range(100))
     columns = ("--columns", "sent=t,delay=d", "--other-way", "same")
     assert "units" in refused(written("t.csv", text), *columns, "--unit", "s")
+
+
+def test_a_lost_packet_is_no_new_day(convert, written):
+    # The sender's times pass midnight after the receiver's first.
+    text = "tx,rx\n23:59:59.90,23:59:59.93\n23:59:59.95,\n23:59:59.99,00:00:00.02\n00:00:00.05,00:00:00.08\n"
+    profile = convert(written("t.csv", text), "--columns", "sent=tx,received=rx", *EACH)
+    assert profile.delays_ns[UPLINK].tolist() == [30 * MS, LOST, 30 * MS, 30 * MS]
+
+
+def test_a_cell_may_have_its_unit(convert, written):
+    file = written("t.csv", "t,rtt\n0 s,20 ms\n50ms,timeout\n0.1s,20000us\n")
+    profile = convert(file, "--columns", "sent=t,rtt=rtt", *EACH[:2])
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, LOST, 10 * MS]
+
+
+def test_a_row_of_units_may_stand_below_the_header(convert, written):
+    file = written("t.csv", "t,rtt,note\n[s],(ms),\n0,20,a\n0.05,21,b\n")
+    profile = convert(file, "--columns", "sent=t,rtt=rtt", *EACH[:2])
+    assert profile.delays_ns[UPLINK].tolist() == [10 * MS, 10_500_000]
+
+
+ARRIVED = [0, 1, 3, 4, 6, 7, 8, 9, 12, 13]
+
+
+@pytest.mark.parametrize("first", [7, 250, 65530])
+def test_numbers_that_skip_tell_what_is_lost(convert, written, tmp_path, first):
+    wrap = 256 if first == 250 else 65536
+    rows = [((first + k) % wrap, 50 * k, 50 * k + 20) for k in ARRIVED]
+    asked = ("--columns", "sent=tx_ms,received=rx_ms,seq=seq", *EACH)
+    expected = [20 * MS if k in ARRIVED else LOST for k in range(14)]
+    text = "seq,tx_ms,rx_ms\n" + "".join(f"{n},{sent},{received}\n" for n, sent, received in rows)
+    profile = convert(written("t.csv", text), *asked)
+    assert profile.delays_ns[UPLINK].tolist() == expected
+    assert "4 packets lost by their numbers (seq)" in profile.metadata["notes"]
+    columns = dict(zip(("seq", "tx_ms", "rx_ms"), zip(*rows, strict=True), strict=True))
+    parquet.write_table(pa.table({k: list(v) for k, v in columns.items()}), tmp_path / "t.parquet")
+    assert convert(tmp_path / "t.parquet", *asked).delays_ns[UPLINK].tolist() == expected
+
+
+def test_delays_with_numbers_need_no_times(convert, written):
+    text = "seq,rtt_ms\n" + "".join(f"{k},20\n" for k in ARRIVED)
+    asked = ("--columns", "rtt=rtt_ms,seq=seq", "--interval", "50ms", *EACH[:2])
+    delays = convert(written("t.csv", text), *asked).delays_ns[UPLINK].tolist()
+    assert delays == [10 * MS if k in ARRIVED else LOST for k in range(14)]
+
+
+def test_a_column_of_numbers_that_skip_is_told(convert, written):
+    rows = "".join(f"{k},{50 * k},20\n" for k in ARRIVED)
+    asked = ("--columns", "sent=t_ms,rtt=rtt_ms")
+    notes = convert(written("t.csv", "seq,t_ms,rtt_ms\n" + rows), *asked).metadata["notes"]
+    assert "the numbers in seq skip 4 of 14 packets; if these were lost, add seq=seq to --columns" in notes
+    for rows in ("".join(f"{k},{50 * k},20\n" for k in range(9)), "5,0,20\n5,50,20\n9,100,20\n"):
+        notes = convert(written("t.csv", "seq,t_ms,rtt_ms\n" + rows), *asked).metadata["notes"]
+        assert not any("skip" in note for note in notes)
+
+
+@pytest.mark.parametrize("number", ["1.5", "x", "-3"])
+def test_a_number_of_a_packet_is_whole(refused, written, number):
+    text = refused(written("t.csv", f"n,t_ms,rtt_ms\n{number},0,20\n"),
+                   "--columns", "sent=t_ms,rtt=rtt_ms,seq=n")  # fmt: skip
+    assert "line 2: expected seq as a whole number" in text
+
+
+def test_a_wrong_unit_of_time_is_told_by_the_number_of_packets_in_a_period(convert, written):
+    text = "t,rtt\n" + "".join(f"{k / 50},20\n" for k in range(500))
+    profile = convert(written("t.csv", text), "--columns", "sent=t,rtt=rtt", "--unit", "ms")
+    words = "500 packets in 10 periods, and of each the longest delay counts; is the unit of the"
+    assert any(words in note for note in profile.metadata["notes"])
