@@ -28,7 +28,7 @@ from shared.file_lock import is_locked
 from shared.output.link_met import link_met
 from shared.output.report import discrepancy_report, edge_report, link_report, robot_report
 from shared.output.summary import summary
-from shared.output.validity import Machine, edge_ms, shim_ms
+from shared.output.validity import Machine, edge_ms, shim_ms, stalls_s
 from shared.process.entry import python
 from shared.process.realtime import usable_cores
 from shared.telemetry.lives import KINDS, lives, recover
@@ -267,7 +267,7 @@ def _joined(run: Path, config: RunConfig, neighbours: Neighbours) -> dict[str, A
     """Return the parts of the summary that need the rows of several services."""
     ticks = _rows(run, _ROBOT, columns=_COMPARED)
     solve_rows, link_rows = (_all_rows(run, stem) for stem in (_EDGE, _LINK))
-    discrepancy = met = response = None
+    discrepancy = met = response = stalls = None
     if ticks is not None and solve_rows is not None:
         discrepancy = discrepancy_report(*ticks, solve_rows)
         # Without a shim here, only a direct link has no delay.
@@ -276,9 +276,19 @@ def _joined(run: Path, config: RunConfig, neighbours: Neighbours) -> dict[str, A
     if ticks is not None and link_rows is not None:
         solves = np.empty((0, SOLVE_SCHEMA.width)) if solve_rows is None else solve_rows
         met = link_met(*ticks, link_rows, solves, steady=not corrects(config.controller))
+        # A service that was started again stood still for that, and not because of the machine.
+        if len(lives(run, _LINK)) == 1:
+            stalls = stalls_s(
+                *ticks, link_rows, solve_rows if len(lives(run, _EDGE)) == 1 else None
+            )
     lateness = None if link_rows is None else shim_ms(link_rows)
     machine = Machine(
-        usable_cores(), neighbours.most, response, lateness, other_cores=neighbours.cores
+        usable_cores(),
+        neighbours.most,
+        response,
+        lateness,
+        other_cores=neighbours.cores,
+        stalls_s=stalls,
     )
     return {"discrepancy": discrepancy, "met": met, "machine": machine}
 

@@ -223,8 +223,8 @@ def _with_capacity(measured: Measured, options: Options) -> Measured:
 def _print(profile: DelayProfile, out: Path, formats: list[Format]) -> None:
     n = profile.delays_ns.shape[1]
     print(
-        f"{out}: {n} periods of {profile.period_ns / 1000:g} µs, {profile.duration_ns * 1e-9:.6g} s, "
-        f"from {formats[0].name}"
+        f"{out}: {n} periods of {profile.period_ns / 1000:g} µs, "
+        f"{profile.duration_ns * 1e-9:.6g} s, from {formats[0].name}"
     )
     imported = PROFILE not in formats
     for direction, name in enumerate(DIRECTIONS):

@@ -102,7 +102,9 @@ def _pcap(path: Path, file: _File, order: str, unit_ns: int) -> Iterator[Frame]:
 
 def _cut_short(path: Path, where: str, expected: str, got: int) -> ProfileError:
     error = wrong(path, where, expected, f"{got} bytes")
-    return ProfileError(f"{error}: the capture was stopped in it; try editcap IN OUT, which drops it")
+    return ProfileError(
+        f"{error}: the capture was stopped in it; try editcap IN OUT, which drops it"
+    )
 
 
 def _pcapng(path: Path, file: _File) -> Iterator[Frame]:

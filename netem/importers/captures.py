@@ -84,8 +84,8 @@ def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measur
         )
     if len(near) > 1 and not any(shift for each in shifts.values() for shift in each):
         raise ProfileError(
-            f"{robot_side}, {edge_side}: expected captures of two ends, got each packet at the same "
-            "time in both; give the capture of the other end"
+            f"{robot_side}, {edge_side}: expected captures of two ends, got each packet at the "
+            "same time in both; give the capture of the other end"
         )
     directions = _directions(shifts, options.robot, f"{robot_side}, {edge_side}")
     ways: list[Way | None] = [None, None]
@@ -109,9 +109,9 @@ def read_captures(robot_side: Path, edge_side: Path, options: Options) -> Measur
             notes += unfinished_note(unfinished)
     one = UPLINK if ways[DOWNLINK] is None else DOWNLINK
     if ways[1 - one] is None and options.robot is None:
-        side = (robot_side, edge_side)[one].name
+        seen = (robot_side, edge_side)[one].name
         notes.append(
-            f"{DIRECTIONS[one]}: {', '.join(_in_words(directions, one))}, because {side} saw these "
+            f"{DIRECTIONS[one]}: {', '.join(_in_words(directions, one))}, because {seen} saw these "
             "packets first; --robot ADDRESS says otherwise"
         )
     described = {DIRECTIONS[way]: _in_words(directions, way) for way in (UPLINK, DOWNLINK)}
@@ -222,8 +222,8 @@ def _refuse_offload(
         if partner is None and there and packet.payload_bytes > max(_LONGEST, there):
             raise ProfileError(
                 f"{path}: expected packets as they are on the wire, got one of "
-                f"{packet.payload_bytes} bytes where the other capture has at most {there}, because "
-                "a network card cuts or joins packets; capture again after ethtool -K INTERFACE "
+                f"{packet.payload_bytes} bytes where the other capture has at most {there}, "
+                "because a network card cuts or joins packets; capture after ethtool -K INTERFACE "
                 "tso off gso off gro off lro off"
             )
 
@@ -269,8 +269,7 @@ def _without_filtered(
     filtered = {
         connection: times
         for connection, times in absent.items()
-        if len(times) >= _FEW
-        and np.diff(np.searchsorted(arrived_ns, [times[0], times[-1]])) > 0
+        if len(times) >= _FEW and np.diff(np.searchsorted(arrived_ns, [times[0], times[-1]])) > 0
     }
     notes = [
         f"left out {len(times)} packets of {_connection_in_words(connection)}, of which the other "

@@ -141,7 +141,7 @@ def _numbered(path: Path) -> PingLog:
         if stamp is not None:
             log.came[last] = stamp
         elif not log.unread:
-            log.unread = unread_time(text if fping else text[: sequence.start()])
+            log.unread = unread_time(text[: sequence.start()] if sequence else text)
         if log.size is None and size:
             log.size = int(size[:9])
     return log

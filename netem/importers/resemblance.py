@@ -80,7 +80,10 @@ _NAMES: tuple[tuple[str, str], ...] = (
 )
 # Names of columns that have sums over packets.
 _SUMS = frozenset(
-    "avg average mean median min max std stddev stdev mdev worst best jitter loss lost".split()
+    (
+        *("avg", "average", "mean", "median", "min", "max", "std", "stddev", "stdev", "mdev"),
+        *("worst", "best", "jitter", "loss"),
+    )
 )
 
 
@@ -138,12 +141,14 @@ def _unnamed(names: list[str], row: list[str]) -> str:
     if len(names) != len(row) or len(names) < 2 or any(_is_number(name) for name in names):
         return ""
     if sums := [name for name in names if _words(name) & _SUMS]:
-        return f"it looks like a table of sums ({', '.join(sums[:3])}): a row of each packet is needed"
+        return (
+            f"it looks like a table of sums ({', '.join(sums[:3])}): a row of each packet is needed"
+        )
     if sum(_is_number(cell) or date_time_ns(cell) is not None for cell in row) < 2:
         return ""
     return (
-        f"it looks like a table of {', '.join(names[:6])}{', …' * (len(names) > 6)}: name a time and a "
-        "delay, as in --columns 'sent=TIME(s),rtt=DELAY(ms)'"
+        f"it looks like a table of {', '.join(names[:6])}{', …' * (len(names) > 6)}: name a time "
+        "and a delay, as in --columns 'sent=TIME(s),rtt=DELAY(ms)'"
     )
 
 

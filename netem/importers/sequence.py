@@ -43,8 +43,8 @@ def with_skipped(
     first, last = int(known[0]), int(known[-1])
     if last - first >= MAX_PERIODS:
         raise ProfileError(
-            f"{path}: expected at most {MAX_PERIODS} packets, got seq {first} to {last}; try another "
-            "column"
+            f"{path}: expected at most {MAX_PERIODS} packets, got seq {first} to {last}; try "
+            "another column"
         )
     every = np.arange(first, last + 1)
     filled = {}

@@ -28,7 +28,9 @@ _NAMED = (
 _EPOCH = r"\d{9,10}\.\d{1,9}|\d{9,10}|\d{13}|\d{16}|\d{19}"
 _TIME = rf"{_DATE}|{_BASIC}|{_UNORDERED}|{_NAMED}|{_CLOCK}|{_EPOCH}"
 # A priority and a version stand before the time of a line of syslog.
-_BARE = re.compile(rf"\s*(?:<\d{{1,3}}>\d? ?)?({_TIME})(?:\s*[:;,|-])?(?:\s+|(?<=[:;,|]))(?=\S)", re.ASCII)
+_BARE = re.compile(
+    rf"\s*(?:<\d{{1,3}}>\d? ?)?({_TIME})(?:\s*[:;,|-])?(?:\s+|(?<=[:;,|]))(?=\S)", re.ASCII
+)
 _BRACKETED = re.compile(
     rf"\s*\[\s*({_TIME}|\d{{1,12}}(?:\.\d{{1,9}})?)\s*\]\s*[:;,|-]?\s*", re.ASCII
 )

@@ -220,10 +220,8 @@ def _mark_notes(
 
 def _skips_note(path: Path, columns: Mapping[str, str], options: Options) -> tuple[str, ...]:
     """A note on numbers of packets that skip some; empty without a column of such numbers."""
-    if head(path, size=4) == PARQUET:
-        names = parquet_names(path)
-    else:
-        names = header_of(path, columns)
+    parquet = head(path, size=4) == PARQUET
+    names = parquet_names(path) if parquet else header_of(path, columns)
     name = next((each for each in names if each.lower() in _SEQUENCE), None)
     if name is None:
         return ()

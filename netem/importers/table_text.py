@@ -135,7 +135,9 @@ def _header(path: Path, columns: Mapping[str, str]) -> tuple[int, str, list[str]
 def _are_units(cells: list[str], columns: Mapping[str, str], names: list[str]) -> bool:
     """Return whether the row below the header has the units of the columns that are asked for."""
     asked = {at for name in columns.values() for at in found_in(name, names)}
-    return len(cells) == len(names) and all(unit_ns("", f"[{cells[at].strip('[]() ')}]") for at in asked)
+    return len(cells) == len(names) and all(
+        unit_ns("", f"[{cells[at].strip('[]() ')}]") for at in asked
+    )
 
 
 def _separator(header: str) -> str | None:

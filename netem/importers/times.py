@@ -67,7 +67,7 @@ def date_time_ns(text: str) -> int | None:
 
     It is also None for a date that is more than 146 years from 1970.
     """
-    whole: tuple[str | None, ...]
+    whole: list[str | None]
     if match := _DATE_TIME.fullmatch(text):
         *whole, fraction, digits, half, zone = match.groups()
     elif match := _BASIC.fullmatch(text):

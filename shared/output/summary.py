@@ -108,9 +108,9 @@ def summary_in_words(summary: dict[str, Any]) -> str:
     lines = []
     if not summary["valid"]:
         lines.append(f"NO RESULT about the link: {'; '.join(summary['invalid_reasons'])}")
-    lines.append(_verdict(summary))
+    lines += [_verdict(summary), *_machine_in_words(summary)]
     if not summary["task_seconds"]:
-        return "\n".join([lines[0], *_counters(summary)])
+        return "\n".join([lines[0], *_machine_in_words(summary), *_counters(summary)])
     if summary["measured_seconds"] < summary["task_seconds"]:
         lines.append(f"  figures cover its first {summary['measured_seconds']:.2f} s")
     if summary["fall_reason"]:
@@ -128,6 +128,22 @@ def _verdict(summary: Mapping[str, Any]) -> str:
         f"{ended} after {summary['task_seconds']:.2f} s of {task} with {controller} over "
         f"{summary['network']}"
     )
+
+
+def _machine_in_words(summary: Mapping[str, Any]) -> list[str]:
+    """Return the line on the work of others on the machine, with its effect; [] without work."""
+    machine = summary.get("machine", {})
+    taken = machine.get("other_cores")
+    if taken is None or taken < _BUSY_CORES:
+        return []
+    busy = f"  other processes took {taken:.1f} of this machine's {machine['cores']} cores"
+    edge, stalls = machine["edge_ms"]["p50"], machine["stalls_s"]
+    effects = []
+    if edge is not None:
+        effects.append(f"an answer left the edge {edge:.0f} ms after its state (median)")
+    if stalls:
+        effects.append(f"the longest standstill was {max(stalls.values()) * 1e3:.0f} ms")
+    return [f"{busy}; {', '.join(effects)}" if effects else busy]
 
 
 def _link_in_words(summary: Mapping[str, Any]) -> list[str]:
@@ -223,10 +239,6 @@ def _counters(summary: Mapping[str, Any]) -> list[str]:
             for edge, counts in answers.items()
         )
         lines.append(f"  answers from {len(answers)} edges: {by_edge}")
-    taken = summary.get("machine", {}).get("other_cores")
-    if taken is not None and taken >= _BUSY_CORES:
-        cores = summary["machine"]["cores"]
-        lines.append(f"  other processes took {taken:.1f} of this machine's {cores} cores")
     if faults := summary.get("sensor_faults"):
         held = ", ".join(f"{sensor} {count} ×" for sensor, count in faults.items())
         lines.append(f"  sensor faults held over: {held}")

@@ -19,6 +19,7 @@ from shared.output.link_met import DIRECTIONS
 from shared.output.no_start import carried_in_words
 from shared.telemetry.metrics import in_task, quantiles
 from shared.telemetry.outages import OUTAGE_NS
+from shared.telemetry.row_log import MAX_ROWS
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema
 
 # The least ratio of simulated time to real time. A delay of the link is shorter for a slower robot.
@@ -31,6 +32,11 @@ OVERRUNS = 0.2
 # The largest delay that edge or shim may add, median [ms]. PR stands a round trip of 30 ms and
 # falls at 40 ms: with 10 ms more, the verdict is about another link. Two slow cores have 2 to 5 ms.
 ADDED_MS = 10.0
+# The longest time for which robot, shim or edge may stand still [s], LA and PR, and LC, whose edge
+# answers ten times a second. A median does not show it. LA stands an outage of 0.25 s at a push.
+# Two slow cores with other work have 0.04 to 0.08 s; 0.4 to 5 s beside a second stack, or beside
+# programs of a higher priority.
+STALL_SECONDS, STALL_SECONDS_CORRECTED = 0.25, 1.0
 # The cores that robot, edge and shim of one stack take at 1 kHz.
 CORES_PER_STACK = 2
 
@@ -40,6 +46,7 @@ class Machine:
     """The machine of a run in real time: its `cores`, and the largest number of other stacks.
 
     `other_cores` is the mean number of cores that processes of others took, None if unknown.
+    `stalls_s` has the longest time for which each part stood still, as `stalls_s` finds it.
     `edge_ms` has quantiles of the time from the arrival of a state at the edge, by the profile,
     until an answer to it or to a newer one leaves. `shim_ms` has those of the shim's lateness, for
     each direction, without messages that waited in an outage. Both are empty if unknown.
@@ -50,6 +57,7 @@ class Machine:
     edge_ms: Mapping[str, float | None] | None = None
     shim_ms: Mapping[str, Mapping[str, float | None]] | None = None
     other_cores: float | None = None
+    stalls_s: Mapping[str, float] | None = None
 
     def report(self) -> dict[str, Any]:
         """Return the part of the summary."""
@@ -57,12 +65,66 @@ class Machine:
             "cores": self.cores,
             "other_stacks": self.other_stacks,
             "other_cores": None if self.other_cores is None else round(self.other_cores, 2),
+            "stalls_s": dict(self.stalls_s or {}),
             "edge_ms": dict(self.edge_ms or quantiles(np.empty(0))),
             "shim_ms": {
                 name: dict((self.shim_ms or {}).get(name, quantiles(np.empty(0))))
                 for name in DIRECTIONS
             },
         }
+
+
+def stalls_s(
+    schema: Schema, rows: np.ndarray, link_rows: np.ndarray, solve_rows: np.ndarray | None
+) -> dict[str, float]:
+    """Return the longest time of the task in which each part of this machine stood still [s].
+
+    `uplink`: no state of the robot came to the shim. `end`: none was released until the end of the
+    run, beyond the longest delay so far. `shim`: a message waited longer than its delay. `edge`: no
+    answer left to a state or to a newer one; not without `solve_rows`.
+    """
+    rows = in_task(schema, rows)
+    if len(link_rows) >= MAX_ROWS:
+        # Of a long run, the files of the services end at different times.
+        ended_ns = LINK_SCHEMA.column(link_rows, "wall_ns").max()
+        rows = rows[schema.column(rows, "wall_ns") <= ended_ns]
+    if not len(rows):
+        return {}
+    ticks, wall_ns = schema.column(rows, "tick"), schema.column(rows, "wall_ns")
+    sequence, sent_ns, direction, nominal_ns, achieved_ns = (
+        LINK_SCHEMA.column(link_rows, name)
+        for name in ("sequence", "wall_ns", "direction", "nominal_ns", "achieved_ns")
+    )
+    of_task = (sent_ns >= wall_ns[0]) & (sent_ns <= wall_ns[-1])
+    up, passed = of_task & (direction == 0) & (sequence >= 0), achieved_ns >= 0
+    # A state under way at the end has no row.
+    known = np.unique(sequence[up])
+    later = int((ticks > known.max(initial=-1)).sum())
+    absent = np.setdiff1d(ticks[: len(ticks) - later], known)
+    runs = np.split(absent, np.flatnonzero(np.diff(absent) > 1) + 1)
+    found = {
+        "uplink": max(len(run) for run in runs) * 1e-3,
+        "end": max(0.0, later * 1e-3 - nominal_ns[up].max(initial=0.0) * 1e-9),
+    }
+    soon = of_task & passed & (nominal_ns <= nominal_ns[passed].min(initial=np.inf) + OUTAGE_NS)
+    found["shim"] = float((achieved_ns - nominal_ns)[soon].max(initial=0.0)) * 1e-9
+    if solve_rows is not None:
+        order = np.argsort(sequence[up & passed], kind="stable")
+        arrival_ns = (sent_ns + nominal_ns)[up & passed][order]
+        left_ns = _left_ns(sequence[up & passed][order], solve_rows)
+        waited_ns = np.minimum(left_ns, wall_ns[-1]) - arrival_ns
+        found["edge"] = float(waited_ns.max(initial=0.0)) * 1e-9
+    return {part: round(seconds, 4) for part, seconds in found.items()}
+
+
+def _left_ns(sequence: np.ndarray, solve_rows: np.ndarray) -> np.ndarray:
+    """Return when an answer to each state or to a newer one left [ns]; inf without one."""
+    answered = np.maximum.accumulate(SOLVE_SCHEMA.column(solve_rows, "state_sequence"))
+    left_ns = SOLVE_SCHEMA.column(solve_rows, "wall_ns") + SOLVE_SCHEMA.column(
+        solve_rows, "solve_ns"
+    )
+    found: np.ndarray = np.append(left_ns, np.inf)[np.searchsorted(answered, sequence)]
+    return found
 
 
 def edge_ms(
@@ -81,13 +143,8 @@ def edge_ms(
         up = up[np.argsort(LINK_SCHEMA.column(up, "sequence"), kind="stable")]
         sequence = LINK_SCHEMA.column(up, "sequence")
         arrival_ns = LINK_SCHEMA.column(up, "wall_ns") + LINK_SCHEMA.column(up, "nominal_ns")
-    answered = np.maximum.accumulate(SOLVE_SCHEMA.column(solve_rows, "state_sequence"))
-    left_ns = SOLVE_SCHEMA.column(solve_rows, "wall_ns") + SOLVE_SCHEMA.column(
-        solve_rows, "solve_ns"
-    )
-    first = np.searchsorted(answered, sequence)
-    known = first < len(answered)
-    return quantiles((left_ns[first[known]] - arrival_ns[known]) * 1e-6)
+    # An unanswered state is none of the finite values.
+    return quantiles((_left_ns(sequence, solve_rows) - arrival_ns) * 1e-6)
 
 
 def shim_ms(link_rows: np.ndarray) -> dict[str, dict[str, float | None]]:
@@ -146,9 +203,40 @@ def _too_slow(summary: Mapping[str, Any], config: RunConfig, machine: Machine) -
         median = late["p50"]
         if median is not None and median > ADDED_MS:
             slow.append(f"the {name} was {median:.0f} ms longer than the profile (median)")
+    slow += _stalls(machine, answers=answers, outage_s=_longest_outage_s(summary, config))
     reasons = [f"the machine was too slow: {', '.join(slow)}"] if slow else []
     others = machine.other_stacks
     if others and machine.cores < CORES_PER_STACK * (1 + others):
         beside = "a second stack" if others == 1 else f"{others} other stacks"
         reasons.append(f"{beside} ran beside it on {machine.cores} cores")
     return reasons
+
+
+def _longest_outage_s(summary: Mapping[str, Any], config: RunConfig) -> float:
+    """Return the longest outage of the profile and the settings together [s]."""
+    profile_ms = (summary.get("profile_worst_outage") or {}).get("ms", 0.0)
+    ours_ns = [each.duration_ns or 0 for each in config.link.outages]
+    return float(profile_ms) * 1e-3 + max(ours_ns, default=0) * 1e-9
+
+
+def _stalls(machine: Machine, *, answers: bool, outage_s: float) -> list[str]:
+    """Return the parts of the machine that stood still for too long, in words.
+
+    Until `outage_s` [s] before the end, the link itself may hold all messages back.
+    """
+    words = {
+        "uplink": "no state of the robot came to the shim",
+        "end": "the shim released no state before the end",
+        "shim": "the shim held a message back",
+        "edge": "no answer left the edge",
+    }
+    stalls = machine.stalls_s or {}
+    limits = dict.fromkeys(words, STALL_SECONDS)
+    limits["end"] += outage_s
+    if not answers:
+        limits["edge"] = STALL_SECONDS_CORRECTED
+    return [
+        f"{text} for {stalls[part]:.2f} s"
+        for part, text in words.items()
+        if stalls.get(part, 0.0) > limits[part]
+    ]

@@ -23,14 +23,12 @@ from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import ConfigError, writing
 from shared.telemetry.lives import begin_life
 from shared.telemetry.parquet import write_parquet
-from shared.telemetry.row_log import RowLog
+from shared.telemetry.row_log import MAX_ROWS, RowLog
 from shared.telemetry.schema import Schema
 from shared.wire.operator.events import CommandEvent, read_events
 
 EDGE_ENDPOINT = "tcp/127.0.0.1:7460"
 NETEM_ENDPOINT = "tcp/127.0.0.1:7461"
-# An hour at 1 kHz: a service that runs for days should not fill the disk.
-_MAX_ROWS = 3_600_000
 # Enough for a report, and for the summary and the log lines of the whole run.
 _ROOM_BYTES = 262_144
 
@@ -201,7 +199,7 @@ class ServiceLog:
         path = self._folder / f"{name}.rows"
         with writing(path, what="out"):
             self.rows = RowLog(
-                schema, path=path, publish=publish, at_most=_MAX_ROWS, complete=complete
+                schema, path=path, publish=publish, at_most=MAX_ROWS, complete=complete
             )
 
     def row(self) -> np.ndarray:

@@ -28,6 +28,8 @@ from shared.file_lock import lock
 from shared.telemetry.schema import Column, Schema
 
 BLOCK_ROWS = 100
+# An hour at 1 kHz: a service that runs for days should not fill the disk.
+MAX_ROWS = 3_600_000
 _FLOAT_BYTES = np.dtype(np.float64).itemsize
 # A longer first line is not the line of columns.
 _MAX_HEADER_BYTES = 65_536

@@ -75,7 +75,24 @@ def test_the_work_of_others_on_the_machine_is_told(cores, line):
     )
     assert told["machine"]["other_cores"] == cores
     text = summary_in_words(told)
-    assert line in text if line else "other processes" not in text
+    assert f"with LA over factory/001\n  {line}\n" in text if line else "other proc" not in text
+
+
+def test_the_effect_of_others_on_the_machine_is_told():
+    machine = Machine(2, 0, {"p50": 8.7}, other_cores=0.6, stalls_s={"shim": 0.01, "edge": 0.057})
+    told = summary(
+        RunConfig(),
+        robot=robot_part(ticks(10)),
+        edge=None,
+        link=None,
+        discrepancy=None,
+        machine=machine,
+    )
+    assert (
+        "with LA over factory/001\n"
+        "  other processes took 0.6 of this machine's 2 cores; an answer left the edge 9 ms after "
+        "its state (median), the longest standstill was 57 ms\n"
+    ) in summary_in_words(told)
 
 
 def test_quantiles_are_of_the_finite_values():

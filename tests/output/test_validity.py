@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from shared.config.config_file import load_config
-from shared.output.validity import Machine, edge_ms, invalid_reasons, shim_ms
+from shared.output.validity import Machine, edge_ms, invalid_reasons, shim_ms, stalls_s
 from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, tick_schema
 
 TICKS = tick_schema(nq=38, nv=37)
@@ -139,3 +139,83 @@ def test_messages_that_waited_in_an_outage_do_not_make_the_shim_late() -> None:
     found = shim_ms(link)
     assert found["uplink"]["max"] == 0.2
     assert found["downlink"]["max"] is None
+
+
+def link_of(sequence: np.ndarray, late_ms: Any = 0.0) -> np.ndarray:
+    """States sent a millisecond apart, and released `late_ms` after their delay of 5 ms."""
+    link = np.zeros((len(sequence), LINK_SCHEMA.width))
+    link[:, LINK_SCHEMA.slices["sequence"]] = sequence[:, None]
+    link[:, LINK_SCHEMA.slices["wall_ns"]] = (sequence * MS)[:, None]
+    link[:, LINK_SCHEMA.slices["nominal_ns"]] = 5 * MS
+    link[:, LINK_SCHEMA.slices["achieved_ns"]] = np.reshape((5 + late_ms) * MS, (-1, 1))
+    return link
+
+
+def solves_of(sequence: np.ndarray) -> np.ndarray:
+    """Answers to these states, each 2 ms after its arrival."""
+    solves = np.zeros((len(sequence), SOLVE_SCHEMA.width))
+    solves[:, SOLVE_SCHEMA.slices["state_sequence"]] = sequence[:, None]
+    solves[:, SOLVE_SCHEMA.slices["wall_ns"]] = ((sequence + 6) * MS)[:, None]
+    solves[:, SOLVE_SCHEMA.slices["solve_ns"]] = MS
+    return solves
+
+
+def a_task(count: int) -> np.ndarray:
+    ticks = np.zeros((count, TICKS.width))
+    ticks[:, TICKS.slices["tick"]] = np.arange(count)[:, None]
+    ticks[:, TICKS.slices["wall_ns"]] = (np.arange(count) * MS)[:, None]
+    return ticks
+
+
+ALL = np.arange(1000)
+
+
+@pytest.mark.parametrize(
+    ("link", "solves", "part", "seconds"),
+    [
+        (link_of(ALL), solves_of(ALL), None, 0.0),
+        # The shim missed 400 states.
+        (link_of(ALL[(ALL < 300) | (ALL >= 700)]), solves_of(ALL), "uplink", 0.4),
+        # The shim stopped: 300 states without the 5 ms of the last ones.
+        (link_of(ALL[:700]), solves_of(ALL), "end", 0.295),
+        (link_of(ALL, np.where(ALL == 500, 350.0, 0.0)), solves_of(ALL), "shim", 0.35),
+        # State 100 comes at 105 ms; the next answer leaves at 607 ms.
+        (link_of(ALL), solves_of(ALL[(ALL < 100) | (ALL >= 600)]), "edge", 0.502),
+        # No answer after that to state 399, until the end of the run.
+        (link_of(ALL), solves_of(ALL[:399]), "edge", 0.595),
+    ],
+)
+def test_the_longest_standstill_of_each_part_is_found(
+    link: np.ndarray, solves: np.ndarray, part: str | None, seconds: float
+) -> None:
+    found = stalls_s(TICKS, a_task(1000), link, solves)
+    assert found[part or "shim"] == pytest.approx(seconds, abs=0.002)
+    assert all(found[other] < 0.02 for other in {"uplink", "end", "shim"} - {part})
+    told = reasons(Machine(2, 0, IDLE.edge_ms, IDLE.shim_ms, stalls_s=found))
+    assert bool(told) == (part is not None)
+    assert part is None or f"for {found[part]:.2f} s" in told[0]
+
+
+def test_an_outage_of_the_link_is_no_standstill() -> None:
+    link = link_of(ALL)
+    waited = np.where((ALL >= 300) & (ALL < 700), 705 - ALL, 5)
+    link[:, LINK_SCHEMA.slices["nominal_ns"]] = (waited * MS)[:, None]
+    link[:, LINK_SCHEMA.slices["achieved_ns"]] = (waited * MS)[:, None]
+    link[200, LINK_SCHEMA.slices["achieved_ns"]] = -1
+    solves = solves_of(ALL[(ALL < 300) | (ALL >= 700)])
+    assert max(stalls_s(TICKS, a_task(1000), link, solves).values()) < 0.02
+    # Nothing is released after an outage at the end of the profile has begun.
+    ending = Machine(2, stalls_s=stalls_s(TICKS, a_task(1000), link[:600], None))
+    assert reasons(ending) == []
+    short: dict[str, Any] = {"profile_worst_outage": {"ms": 400.0}}
+    at_end = Machine(2, stalls_s={"end": 0.6})
+    assert reasons(at_end, **short) == []
+    assert reasons(at_end) == [
+        "the machine was too slow: the shim released no state before the end for 0.60 s"
+    ]
+
+
+def test_the_edge_of_lc_answers_seldom() -> None:
+    stalled = Machine(2, stalls_s={"edge": 0.4})
+    assert reasons(stalled, "lc") == []
+    assert reasons(stalled) == ["the machine was too slow: no answer left the edge for 0.40 s"]

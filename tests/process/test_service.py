@@ -43,7 +43,7 @@ def test_a_name_that_cannot_be_in_a_key_is_refused_even_without_certificates(par
 
 
 def test_a_log_that_is_full_takes_no_more_rows(monkeypatch, tmp_path: Path):
-    monkeypatch.setattr(service, "_MAX_ROWS", 3)
+    monkeypatch.setattr(service, "MAX_ROWS", 3)
     log = ServiceLog("edge", Schema(Column("n")), out=tmp_path, telemetry=None, key="k")
     for number in range(10):
         log.row()[0] = number

@@ -32,11 +32,14 @@ MS = 1_000_000
         (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
         (b"<!DOCTYPE html>\n<html>\n", "a page of the web"),
         (
-            b"22:13:20.123456 IP 192.0.2.1 > 192.0.2.7: ICMP echo request, id 1, seq 1, length 64\n",
+            b"22:13:20.123456 IP 192.0.2.1 > 192.0.2.7: ICMP echo request, id 1, seq 1, length 8\n",
             "tcpdump -w FILE.pcap",
         ),
         (b"traceroute to 192.0.2.7 (192.0.2.7), 30 hops max\n 1  a  0.3 ms\n", "the routes of mtr"),
-        (b"Start: 2023\nHOST: robot     Loss%   Snt   Last\n  1.|-- a  0.0%\n", "the routes of mtr"),
+        (
+            b"Start: 2023\nHOST: robot     Loss%   Snt   Last\n  1.|-- a  0.0%\n",
+            "the routes of mtr",
+        ),
         (b"192.0.2.7 : 12.3 11.2 - 10.1\n", "fping's lists without times; try: fping -D -l"),
         (b'{"resp": {"host":"192.0.2.7","seq":0,"rtt":0.057}}\n', "fping's JSON"),
         (b"seq_no=0       delay=1.23 ms   (sync, err=0.5 ms)\n", "the log of owping"),

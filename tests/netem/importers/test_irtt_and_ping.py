@@ -452,7 +452,11 @@ def test_the_pings_of_windows_are_read_in_any_language(convert, written, languag
     lines = [lost, *(answer.format(t=t) for t in (87, 12, 13))]
     text = frame.format(lines="\n".join(lines) + "\n").replace("\n", "\r\n")
     profile = convert(
-        written("p.txt", text.encode(encoding, errors="replace")), "--interval", "10ms", "--period", "10ms"
+        written("p.txt", text.encode(encoding, errors="replace")),
+        "--interval",
+        "10ms",
+        "--period",
+        "10ms",
     )
     assert profile.delays_ns[UPLINK].tolist() == [LOST, 43_500_000, 6 * MS, 6_500_000]
     assert profile.metadata["format"] == "ping"
@@ -494,6 +498,8 @@ def test_fping_is_read_with_its_times(convert, refused, written):
 def test_a_log_without_replies_is_refused(refused, written):
     text = refused(written("p.log", log("From 10.0.0.254 icmp_seq=1 Destination Host Unreachable")))
     assert "a line for each reply" in text
-    alone = "\n--- 10.0.0.1 ping statistics ---\n100 packets transmitted, 98 received, 2% packet loss"
+    alone = (
+        "\n--- 10.0.0.1 ping statistics ---\n100 packets transmitted, 98 received, 2% packet loss"
+    )
     text = refused(written("p.log", log(tail=alone)))
     assert text.endswith("got none of 100; ping a host that answers, without -q and -f")

@@ -157,7 +157,22 @@ def test_columns_that_say_too_little_are_refused(refused, written, columns, word
 # What lost looks like --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mark", ["nan", "-nan", "#N/A", "Request timed out", "NA", "N/A", "-", "--", "timeout", "Timed Out", ""])
+@pytest.mark.parametrize(
+    "mark",
+    [
+        "nan",
+        "-nan",
+        "#N/A",
+        "Request timed out",
+        "NA",
+        "N/A",
+        "-",
+        "--",
+        "timeout",
+        "Timed Out",
+        "",
+    ],
+)
 def test_what_stands_for_lost_is_lost(convert, written, mark):
     file = written("t.csv", f"t_s,rtt_ms\n0,20\n0.05,{mark}\n0.1,20\n")
     profile = convert(file, "--columns", "sent=t_s,rtt=rtt_ms", *EACH[:2])
@@ -185,7 +200,9 @@ def test_negatives_that_are_all_one_value_are_no_matter_of_clocks(refused, writt
 
 def test_two_values_may_stand_for_lost(convert, refused, written):
     # As in tables made from irtt's files: −1 on the way of the loss, 0 on the other.
-    rows = "".join(f"{k / 20},{0 if k % 5 == 1 else 20},{-1 if k % 5 == 1 else 20}\n" for k in range(20))
+    rows = "".join(
+        f"{k / 20},{0 if k % 5 == 1 else 20},{-1 if k % 5 == 1 else 20}\n" for k in range(20)
+    )
     file = written("t.csv", "t_s,u_ms,d_ms\n" + rows)
     columns = ("--columns", "sent=t_s,uplink=u_ms,downlink=d_ms")
     assert "got -1, as in 4 of 20 rows" in refused(file, *columns)
@@ -446,7 +463,8 @@ def test_milliseconds_taken_for_seconds_are_refused_as_hours(refused, written):
 
 def test_a_lost_packet_is_no_new_day(convert, written):
     # The sender's times pass midnight after the receiver's first.
-    text = "tx,rx\n23:59:59.90,23:59:59.93\n23:59:59.95,\n23:59:59.99,00:00:00.02\n00:00:00.05,00:00:00.08\n"
+    rows = ["59.90,23:59:59.93", "59.95,", "59.99,00:00:00.02"]
+    text = "tx,rx\n" + "".join(f"23:59:{row}\n" for row in rows) + "00:00:00.05,00:00:00.08\n"
     profile = convert(written("t.csv", text), "--columns", "sent=tx,received=rx", *EACH)
     assert profile.delays_ns[UPLINK].tolist() == [30 * MS, LOST, 30 * MS, 30 * MS]
 
@@ -492,7 +510,10 @@ def test_a_column_of_numbers_that_skip_is_told(convert, written):
     rows = "".join(f"{k},{50 * k},20\n" for k in ARRIVED)
     asked = ("--columns", "sent=t_ms,rtt=rtt_ms")
     notes = convert(written("t.csv", "seq,t_ms,rtt_ms\n" + rows), *asked).metadata["notes"]
-    assert "the numbers in seq skip 4 of 14 packets; if these were lost, add seq=seq to --columns" in notes
+    assert (
+        "the numbers in seq skip 4 of 14 packets; if these were lost, add seq=seq to --columns"
+        in notes
+    )
     for rows in ("".join(f"{k},{50 * k},20\n" for k in range(9)), "5,0,20\n5,50,20\n9,100,20\n"):
         notes = convert(written("t.csv", "seq,t_ms,rtt_ms\n" + rows), *asked).metadata["notes"]
         assert not any("skip" in note for note in notes)
