@@ -2,8 +2,10 @@
 
 [1795299931.544576] …      as of `ping -D` and `fping -D`
 2026-11-14T22:13:20.5+0100 …    [2026-11-14 22:13:20] …    20261114T221320.5 …
-11/14/2026 10:13:20 PM - …    14.11.2026 22:13:20 …    of which only the time of day is read
+
 Nov 14 22:13:20 …    Tue Nov 14 22:13:20 CET 2026: …    as of `ts` and `date`
+
+11/14/2026 10:13:20 PM - …    14.11.2026 22:13:20 …    only the time of day is read
 22:13:20.123 …
 """
 

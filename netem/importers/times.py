@@ -1,8 +1,7 @@
 """Times as text: units in the names of columns, dates, times of day.
 
-A date without a zone is read as UTC, because only differences of times matter. Of a date such as
-11/12/2023 or 11.12.2023, nobody knows whether the day or the month comes first. Only its time of
-day is read.
+A date without a zone is read as UTC, because only differences of times matter. A date such as
+11/12/2023 or 11.12.2023 does not tell the day from the month. Only its time of day is read.
 """
 
 from __future__ import annotations
