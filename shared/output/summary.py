@@ -139,7 +139,8 @@ def _machine_in_words(summary: Mapping[str, Any]) -> list[str]:
     busy = f"  other processes took {taken:.1f} of this machine's {machine['cores']} cores"
     edge, stalls = machine["edge_ms"]["p50"], machine["stalls_s"]
     effects = []
-    if edge is not None:
+    # The edge of a controller that corrects answers seldom.
+    if edge is not None and not corrects(summary["controller"]):
         effects.append(f"an answer left the edge {edge:.0f} ms after its state (median)")
     if stalls:
         effects.append(f"the longest standstill was {max(stalls.values()) * 1e3:.0f} ms")
