@@ -134,8 +134,12 @@ def _numbered(path: Path) -> PingLog:
         else:
             continue  # a heading, statistics, a complaint without a number
         log.seen.add(last)
-        if trip is None or last in log.trips:
-            continue  # lost, or a duplicate
+        if trip is None:
+            continue  # lost
+        if last in log.trips:
+            if "!)" not in text and not fping:
+                raise _second_run(path, where, f"one run of ping, with one reply to {last}", text)
+            continue  # a duplicate, as "(DUP!)" says
         ms = trip.replace(",", ".")
         log.trips[last] = nanoseconds(ms, _SECOND // 1000, path, where, "a round trip in ms")
         if stamp is not None:

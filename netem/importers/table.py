@@ -55,6 +55,14 @@ _SEQUENCE = frozenset(
         *("icmp_seq", "packet_id", "packet_no", "pkt_id", "msg_id", "counter", "header.seq"),
     )
 )
+# Names of a column whose values tell several measurements apart, and the most values of one.
+_GROUPS = frozenset(
+    (
+        *("direction", "dir", "way", "host", "target", "destination", "dst", "ip", "address"),
+        *("ue", "ue_id", "imsi", "rnti", "device", "robot", "flow", "flow_id", "run", "session"),
+    )
+)
+_MANY = 50
 # Numbers that step back more often than this count something else.
 _OUT_OF_ORDER = 0.05
 # The minimum distance of the mark of a lost packet from every delay [units].
@@ -105,6 +113,7 @@ def read_table(path: Path, options: Options, direction: int) -> Measured:
         values = with_skipped(path, numbers, values, options.interval_ns)
     elif not any((values[key] == LOST_NS).any() for key in others):
         notes += _skips_note(path, columns, options)
+    notes += _groups_note(path, columns, options)
     sent = values["sent"]
     lost = {key: values[key] == LOST_NS for key in others}
     delays = {key: np.where(lost[key], 0, values[key]) for key in others}
@@ -218,11 +227,33 @@ def _mark_notes(
     )
 
 
+def _groups_note(path: Path, columns: Mapping[str, str], options: Options) -> tuple[str, ...]:
+    """A note on rows of several ways, hosts or terminals that are taken together; empty if none."""
+    name = next((each for each in _names(path, columns) if each.lower() in _GROUPS), None)
+    if name is None or name in columns.values():
+        return ()
+    try:
+        ids = _read(path, {**columns, "id": name}, options).ids
+    except ProfileError:
+        return ()
+    values = list(dict.fromkeys(ids))
+    if not 1 < len(values) <= _MANY:
+        return ()
+    return (
+        f"the column {name} has {len(values)} values ({', '.join(values[:4])}"
+        f"{', …' * (len(values) > 4)}), and their rows are taken together; give a file of one",
+    )
+
+
+def _names(path: Path, columns: Mapping[str, str]) -> list[str]:
+    """The names of all columns; empty if the user counts them."""
+    parquet = head(path, size=4) == PARQUET
+    return parquet_names(path) if parquet else header_of(path, columns)
+
+
 def _skips_note(path: Path, columns: Mapping[str, str], options: Options) -> tuple[str, ...]:
     """A note on numbers of packets that skip some; empty without a column of such numbers."""
-    parquet = head(path, size=4) == PARQUET
-    names = parquet_names(path) if parquet else header_of(path, columns)
-    name = next((each for each in names if each.lower() in _SEQUENCE), None)
+    name = next((each for each in _names(path, columns) if each.lower() in _SEQUENCE), None)
     if name is None:
         return ()
     try:

@@ -470,6 +470,8 @@ def test_windows_that_says_other_numbers_than_its_lines_is_refused(refused, writ
     assert "one run of ping" in refused(written("p.txt", two))
     runs = log(reply(1, 2)) + log(reply(1, 3))
     assert refused(written("p.log", runs)).endswith("; cut the log there")
+    text = refused(written("p.log", "\n".join((reply(1, 2), reply(2, 2), reply(1, 3)))))
+    assert "line 3: expected one run of ping, with one reply to 1" in text
 
 
 def test_a_time_below_a_millisecond_is_said(convert, written):
