@@ -215,7 +215,7 @@ def _mark_notes(
         flag = lost_flag(options, 0)
         notes = (f"{none} of {len(values)} {key} values are exactly 0; if lost, try {flag}",)
     largest = int(known.max())
-    rest, count = known[known < largest], int((known == largest).sum())
+    rest, count = known[(known < largest) & (known != 0)], int((known == largest).sum())
     far = len(rest) and unit and largest >= _FAR * max(int(rest.max()), unit)
     if not far or count < 2 or not unit or largest % unit:
         return notes

@@ -331,6 +331,7 @@ def test_one_large_value_far_from_the_others_is_told(convert, written):
     assert "exactly" not in notes(rows, "--lost", "9999")
     # One long delay, and a longest delay that is near the next, are delays.
     assert "exactly" not in notes([20.5, 300, 21]) + notes([20, 99, 99, 60])
+    assert "exactly 20" not in notes([20, 0, 20, 0, 20])
 
 
 def test_infinite_delays_are_lost(convert, written):
