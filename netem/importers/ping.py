@@ -52,7 +52,7 @@ _SENT = re.compile(
 )
 _WRAP = 65536
 _STEP_NS = 10_000_000
-# By times in whole seconds, a ping that comes so much later than expected follows a pause.
+# By times in whole seconds, a ping that comes later by more than this follows a pause.
 _STOOD_NS = 2_500_000_000
 # Times of more pings than `_FEW` are none of one clock if more than `_OFTEN` of them step back by
 # `_BACK_NS`, or if there are less than `_LEAST_NS` between them.

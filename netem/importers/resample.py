@@ -29,9 +29,9 @@ from netem.profile import DIRECTIONS, LOST, MAX_DELAY_MS, DelayProfile
 from shared.errors import ProfileError
 
 MAX_PERIODS = 10_000_000
-# A time without packets is worth a note if it is so many times the usual one, and so long.
+# The least time without packets that is worth a note: a multiple of the usual one, and [ns].
 _GAP, _LEAST_GAP_NS = 5, 50_000_000
-# So many packets in each period are worth a note.
+# The least number of packets in each period that is worth a note.
 _DENSE = 10
 # A note is due if this quantile of the delays differs by more than this share.
 _HIGH, _OTHER = 0.99, 0.05

@@ -277,7 +277,7 @@ def _expect_no_mark(path: Path, key: str, read: Read, options: Options) -> None:
     low = known[known <= 0] if key == "received" else known[known < 0]
     if unit is None or not len(low) or low.min() != low.max() or low[0] % unit:
         return
-    # Exact zeros are a mark of their own.
+    # Exact zeros may be another mark.
     rest, mark = known[(known > low[0]) & (known != 0)], int(low[0]) // unit
     if (len(low) > 1 or mark in (-1, 0)) and len(rest) and rest.min() > low[0] + _APART * unit:
         where = read.rows[int(np.flatnonzero(values == low[0])[0])]

@@ -85,7 +85,7 @@ def stalls_s(
     """
     rows = in_task(schema, rows)
     if len(link_rows) >= MAX_ROWS:
-        # Of a long run, the files of the services end at different times.
+        # The files of the services of a long run end at different times.
         ended_ns = LINK_SCHEMA.column(link_rows, "wall_ns").max()
         rows = rows[schema.column(rows, "wall_ns") <= ended_ns]
     if not len(rows):
