@@ -233,7 +233,7 @@ def _groups_note(path: Path, columns: Mapping[str, str], options: Options) -> tu
     if name is None or name in columns.values():
         return ()
     try:
-        ids = _read(path, {**columns, "id": name}, options).ids
+        ids = _read(path, {"id": name}, options).ids
     except ProfileError:
         return ()
     values = list(dict.fromkeys(ids))
@@ -257,7 +257,7 @@ def _skips_note(path: Path, columns: Mapping[str, str], options: Options) -> tup
     if name is None:
         return ()
     try:
-        numbers = _read(path, {**columns, "seq": name}, options).values["seq"]
+        numbers = _read(path, {"seq": name}, options).values["seq"]
     except ProfileError:
         return ()
     steps = np.diff(unwrapped(numbers))

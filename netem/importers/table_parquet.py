@@ -55,7 +55,7 @@ def read_parquet(path: Path, columns: Mapping[str, str], options: Options) -> Re
             raise wrong(path, f"column {name}", "finite times, none of sending missing", "others")
         values[key] = np.where(lost, LOST_NS, np.sum(parts, axis=0))
         units[key] = place.units_ns[0]
-    rows = [f"row {k + 1}" for k in range(len(next(iter(values.values()))))]
+    rows = [f"row {k + 1}" for k in range(len(next(iter(values.values()), ids)))]
     return Read(values, rows, units, ids, notes)
 
 

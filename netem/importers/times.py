@@ -57,7 +57,8 @@ def unit_ns(name: str, column: str) -> int | None:
 
 def number_and_unit_ns(text: str) -> tuple[str, int | None]:
     """The number in a cell, and the unit [ns] behind it; None without a unit."""
-    match = _WITH_UNIT.fullmatch(text)
+    # Most cells have none, and there are many.
+    match = _WITH_UNIT.fullmatch(text) if text[-1:].isalpha() else None
     return (text, None) if match is None else (match[1], _NS[match[2].lower()])
 
 

@@ -534,7 +534,7 @@ def test_a_wrong_unit_of_time_is_told_by_the_number_of_packets_in_a_period(conve
     assert any(words in note for note in profile.metadata["notes"])
 
 
-def test_rows_of_several_ways_or_hosts_are_told(convert, written):
+def test_rows_of_several_ways_or_hosts_are_told(convert, written, tmp_path):
     rows = "".join(f"{50 * k},{'ul' if k % 2 else 'dl'},20\n" for k in range(8))
     asked = ("--columns", "sent=t_ms,delay=d_ms", *EACH)
     notes = convert(written("t.csv", "t_ms,Direction,d_ms\n" + rows), *asked).metadata["notes"]
@@ -542,5 +542,9 @@ def test_rows_of_several_ways_or_hosts_are_told(convert, written):
         "the column Direction has 2 values (dl, ul), and their rows are taken together; give a file"
     )
     assert any(note.startswith(words) for note in notes)
+    table = pa.table({"t_ms": [0, 50], "d_ms": [20, 20], "host": ["a", "b"]})
+    parquet.write_table(table, tmp_path / "t.parquet")
+    notes = convert(tmp_path / "t.parquet", *asked).metadata["notes"]
+    assert any("the column host has 2 values (a, b)" in note for note in notes)
     one = convert(written("t.csv", "t_ms,host,d_ms\n0,a,20\n50,a,20\n"), *asked).metadata["notes"]
     assert not any("taken together" in note for note in one)
