@@ -276,11 +276,8 @@ def _joined(run: Path, config: RunConfig, neighbours: Neighbours) -> dict[str, A
     if ticks is not None and link_rows is not None:
         solves = np.empty((0, SOLVE_SCHEMA.width)) if solve_rows is None else solve_rows
         met = link_met(*ticks, link_rows, solves, steady=not corrects(config.controller))
-        # A service that was started again stood still for that, and not because of the machine.
-        if len(lives(run, _LINK)) == 1:
-            stalls = stalls_s(
-                *ticks, link_rows, solve_rows if len(lives(run, _EDGE)) == 1 else None
-            )
+        if _lived_once(run, _LINK):
+            stalls = stalls_s(*ticks, link_rows, solve_rows if _lived_once(run, _EDGE) else None)
     lateness = None if link_rows is None else shim_ms(link_rows)
     machine = Machine(
         usable_cores(),
@@ -291,6 +288,14 @@ def _joined(run: Path, config: RunConfig, neighbours: Neighbours) -> dict[str, A
         stalls_s=stalls,
     )
     return {"discrepancy": discrepancy, "met": met, "machine": machine}
+
+
+def _lived_once(run: Path, stem: str) -> bool:
+    """Return whether a service ran from its beginning to its report.
+
+    A service that was started again, or that was killed, stood still for that reason.
+    """
+    return len(lives(run, stem)) == 1 and _report(run / f"{stem}.json") is not None
 
 
 def _all_rows(run: Path, stem: str) -> np.ndarray | None:
