@@ -19,7 +19,7 @@ from shared.bus.base import Inbox
 from shared.bus.preflight import preflight
 from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
-from shared.errors import LinkError
+from shared.errors import UserError
 from shared.motion.plan import make_motion
 from shared.output.fall import fall_in_words, torque_limits
 from shared.output.report import robot_report
@@ -107,13 +107,13 @@ def main() -> int:
     suspend_garbage_collection()
     print(f"READY {me.robot} → {arguments.connect} ({scheduling})", flush=True)
 
-    failure: LinkError | None = None
+    failure: UserError | None = None
     duration_ns = _ENDLESS_NS if arguments.stay else round(config.duration * 1e9)
     each_look = _nothing if commands is None else commands.tell_clock
     with Narrator(loop, _say, each_look=each_look):
         try:
             loop.run(duration_ns=duration_ns, stopping=lambda: stop.requested)
-        except LinkError as error:
+        except UserError as error:
             failure = error
     node.close()
 

@@ -12,6 +12,8 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +22,9 @@ from robot_node.onboard import OnBoard, OnBoardWindow, StartComputer, projector_
 from robot_node.verification import ProjectorVerifier
 from shared.config.extensions import CONTROLLERS
 from shared.config.settings import RunConfig
-from shared.extensions import Taken
 from shared.robots import Foot
 from shared.telemetry.schema import Source
+from shared.user_code import Attribute, Members, Method, array_fault, kind_fault
 from shared.wbc.assisted import apply_projector
 from shared.wbc.balance import BalanceLaw
 from shared.wbc.contacts import ContactMode
@@ -135,9 +137,6 @@ def make_balance_law(parts: ControllerParts) -> BalanceLaw | None:
     return BalanceLaw(robot, config.wbc.balance, period=period)
 
 
-# The members of a `Controller` that every subclass brings, with their arguments.
-_MEMBERS = {"cache": None, "observe": Taken(3), "command": Taken(keywords=("time_ns",))}
-
 MakeController = Callable[[ControllerParts], Controller]
 
 
@@ -146,8 +145,30 @@ def make_controller(parts: ControllerParts) -> Controller:
 
     Raise `ConfigError` if it cannot be imported or lacks a member.
     """
-    controller: Controller = CONTROLLERS.make(parts.config.controller, parts, members=_MEMBERS)
+    members: Members = {
+        "cache": Attribute(partial(kind_fault, kind=AnswerCache)),
+        "observe": Method(3),
+        "command": Method(keywords=("time_ns",), fault=partial(_decision_fault, parts)),
+        "should_stop": Method(),
+    }
+    controller: Controller = CONTROLLERS.make(parts.config.controller, parts, members=members)
     return controller
+
+
+def _decision_fault(parts: ControllerParts, decision: Any) -> str:
+    """Return the fault of what a user's controller decides, or an empty text."""
+    if decision is None:
+        return ""
+    if fault := kind_fault(decision, Decision, or_none=True):
+        return fault
+    kinds = (("mode", ContactMode), ("source", Source), ("sequence", int), ("stamp_ns", int))
+    for name, kind in kinds:
+        if fault := kind_fault(getattr(decision, name), kind):
+            return f"{name}: {fault}"
+    n_joints = parts.model.robot.model.nv - 6
+    return array_fault(decision.tau, (n_joints,), "torques tau") or array_fault(
+        decision.y, (parts.stacks[decision.mode].layout.n_unknowns,), "the solution y"
+    )
 
 
 class PurelyRemote(Controller):

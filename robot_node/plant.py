@@ -6,7 +6,8 @@ Pinocchio's has the velocity in the base frame and the quaternion scalar-last.
 
 from __future__ import annotations
 
-from typing import Protocol
+from functools import partial
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -15,9 +16,9 @@ import pinocchio as pin
 from robot_node.mjcf import mjcf
 from shared.config.extensions import PLANTS
 from shared.config.settings import PlantConfig
-from shared.extensions import Taken
 from shared.motion.ground import FLAT, Ground
 from shared.robots import Foot, Robot
+from shared.user_code import Members, Method, array_fault
 
 
 class Plant(Protocol):
@@ -47,10 +48,6 @@ class Plant(Protocol):
         """
 
 
-# The members of a `Plant`, with their arguments.
-_MEMBERS = {"set_state": Taken(2), "state": Taken(), "step": Taken(1, ("push",))}
-
-
 def make_plant(
     robot: Robot, config: PlantConfig, *, timestep: float, ground: Ground = FLAT
 ) -> Plant:
@@ -60,10 +57,32 @@ def make_plant(
     cannot be imported, lacks a member, or knows flat ground only.
     """
     terrain = {} if ground.flat else {"ground": ground}
+    members: Members = {
+        "set_state": Method(2),
+        "state": Method(fault=partial(_state_fault, robot)),
+        "contact_forces": Method(fault=_forces_fault),
+        "step": Method(1, ("push",)),
+    }
     plant: Plant = PLANTS.make(
-        config.kind, robot, config, members=_MEMBERS, timestep=timestep, **terrain
+        config.kind, robot, config, members=members, timestep=timestep, **terrain
     )
     return plant
+
+
+def _state_fault(robot: Robot, state: Any) -> str:
+    """Return the fault of the state of a user's plant, or an empty text."""
+    if not isinstance(state, tuple) or len(state) != 2:
+        return f"expected a pair q, v, got a {type(state).__name__}"
+    (q, v), model = state, robot.model
+    return array_fault(q, (model.nq,), "q") or array_fault(v, (model.nv,), "v")
+
+
+def _forces_fault(forces: Any) -> str:
+    """Return the fault of the contact forces of a user's plant, or an empty text."""
+    if not isinstance(forces, dict) or set(forces) != set(Foot):
+        return f"expected a force for each of Foot.LEFT and Foot.RIGHT, got {forces!r:.60}"
+    faults = (array_fault(force, (3,), f"that of {foot}") for foot, force in forces.items())
+    return next(filter(None, faults), "")
 
 
 class MujocoPlant:

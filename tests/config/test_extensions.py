@@ -86,6 +86,16 @@ def announced(monkeypatch):
     extensions.announced.cache_clear()
 
 
+def use_motion(robot, config):
+    motion = make_motion(robot, config)
+    return motion.reference(7), motion.next_switch(7), motion.stopped(7)
+
+
+def use_plant(robot, config):
+    plant = make_plant(robot, config, timestep=1e-3)
+    return plant.state(), plant.contact_forces()
+
+
 @pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
 def test_every_name_of_the_project_can_be_loaded(table):
     for name in table.own:
@@ -163,11 +173,20 @@ def test_a_module_is_no_file(tmp_path):
     [
         ("class Mine(: pass", "Mine", "invalid syntax"),
         ("import no_such_package", "Mine", "No module named 'no_such_package'"),
-        ("raise RuntimeError('two\\nlines')", "Mine", "got .*: two;"),
+        (
+            "raise RuntimeError('two\\nlines')",
+            "Mine",
+            "from its import, got RuntimeError: two at li",
+        ),
         (CONTROLLER, "Mien", "expected one of Mine, got 'Mien'; did you mean Mine"),
         ("Mine = 3", "Mine", "expected a class or a function, got 3"),
         ("class Mine: pass", "Mine", r"expected Mine\(…\), got Mine\(\)"),
         ("def mine(parts): return 3", "mine", "expected cache, got a int without it"),
+        (
+            "def mine(parts): return parts.speed",
+            "mine",
+            "got AttributeError: .* at line 1 of mine.py",
+        ),
         (
             "from robot_node.controllers import Controller\nclass Mine(Controller): pass",
             "Mine",
@@ -187,6 +206,36 @@ def test_a_controller_that_does_not_fit_is_an_error_in_a_line(file, text, name, 
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("return 1 / 0", "expected no error from command, got ZeroDivisionError"),
+        ("return decision.tau", "command: expected a Decision or None, got an ndarray"),
+        (
+            "decision.tau = decision.tau[:3]",
+            "torques tau as a float array of shape .31,., got .3,.",
+        ),
+        ("decision.y = decision.y * float('nan')", "solution y .* with finite numbers, got nan"),
+        ("decision.mode = 0", "command: mode: expected a ContactMode, got an int"),
+    ],
+)
+def test_a_decision_that_is_none_ends_the_trial_in_a_line(file, body, message):
+    text = f"""
+        from examples.own_controller import LastSolution
+
+        class Mine(LastSolution):
+            def command(self, *, time_ns):
+                decision = super().command(time_ns=time_ns)
+                if decision is not None:
+                    {body}
+                return decision
+    """
+    config = load_config(None, SHORT | {"controller": f"{file(text)}:Mine"})
+    with pytest.raises(ConfigError, match=message) as caught:
+        Lockstep(config).run()
+    assert "\n" not in str(caught.value)
+
+
 def test_a_module_that_failed_is_imported_anew_once_it_is_mended(file):
     path = file("import no_such_package")
     with pytest.raises(ConfigError):
@@ -201,16 +250,121 @@ def test_a_task_without_a_member_is_refused(file, robot):
         make_motion(robot, config)
 
 
-def test_a_plant_whose_step_takes_no_push_is_refused(file, robot):
-    config = load_config(None, {"plant.kind": f"{file(PLANT)}:Pushless"})
-    with pytest.raises(ConfigError, match=r"expected step\(…, push=…\), got step\(tau\)"):
-        make_plant(robot, config.plant, timestep=1e-3)
+@pytest.mark.parametrize(
+    ("member", "message"),
+    [
+        ("digest = 'two'", "digest: expected eight bytes, got 'two'; try motion_digest"),
+        ("def reference(self, t): pass", "reference: expected a Reference, got None"),
+        (
+            "def reference(self, t): return replace(super().reference(t), com=None)",
+            "reference: expected com as a float array",
+        ),
+        (
+            "def reference(self, t): return replace(super().reference(t), mode=ContactMode(1))",
+            "reference: expected a swing foot in single support alone",
+        ),
+        ("def next_switch(self, t): return t", "next_switch: expected a time after 7 ns, got 7"),
+        ("def stopped(self, t): return None", "expected digest, got a NoneType without it"),
+    ],
+)
+def test_a_task_with_a_faulty_member_is_refused(file, robot, member, message):
+    text = f"""
+        from dataclasses import replace
+        from shared.motion.standing import Standing
+        from shared.wbc.contacts import ContactMode
+
+        class Mine(Standing):
+            def __init__(self, robot, config):
+                super().__init__(robot)
+                self.digest = getattr(type(self), "digest", self.digest)
+
+            {member}
+    """
+    config = load_config(None, {"task": f"{file(text)}:Mine"})
+    with pytest.raises(ConfigError, match=message):
+        use_motion(robot, config)
 
 
-def test_the_digest_does_not_depend_on_where_a_task_lies(file, tmp_path):
-    here = load_config(None, {"task": f"{file(TASK)}:still"})
-    there = load_config(None, {"task": "/elsewhere/task.py:still"})
-    assert here.digest == there.digest
+@pytest.mark.parametrize(
+    ("member", "message"),
+    [
+        ("def step(self, tau): pass", r"expected step\(…, push=…\), got step\(tau\)"),
+        ("contact_forces = None", "expected contact_forces, got a Mine without it"),
+        ("def state(self): return self._qpos", "state: expected a pair q, v, got a"),
+        ("def state(self): return self._qpos[:3], self._qvel", "state: expected q as a float arr"),
+        ("def contact_forces(self): return {}", "contact_forces: expected a force for each of"),
+    ],
+)
+def test_a_plant_with_a_faulty_member_is_refused(file, robot, member, message):
+    text = f"""
+        from robot_node.plant import MujocoPlant
+
+        class Mine(MujocoPlant):
+            {member}
+    """
+    config = load_config(None, {"plant.kind": f"{file(text)}:Mine"})
+    with pytest.raises(ConfigError, match=message):
+        use_plant(robot, config.plant)
+
+
+OWN_SETTINGS = """
+    from shared.motion.standing import Standing
+
+    class Mine(Standing):
+        def __init__(self, robot, config, *, depth=0.1, fast=False, name=""):
+            super().__init__(robot)
+            self.stated = (depth, fast, name)
+"""
+
+
+def test_settings_of_its_own_follow_a_value(file, robot, tmp_path):
+    path = file(OWN_SETTINGS)
+    value = f"{path}:Mine:depth=0.02:fast=true:name=low"
+    motion = make_motion(robot, load_config(None, {"task": value}))
+    assert vars(motion)["stated"] == (0.02, True, "low")
+    assert TASKS.label(value) == "Mine depth=0.02 fast=true name=low"
+    assert TASKS.absolute("mine.py:Mine:depth=1", tmp_path) == f"{path}:Mine:depth=1"
+    assert load_config(None, {"task": f"{path}:Mine:depth=1"}).digest != (
+        load_config(None, {"task": f"{path}:Mine:depth=2"}).digest
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (":deep=1", r"got Mine\(robot, config, \*, depth=0.1, fast=False, name=''\): .*'deep'"),
+        (":depth=1:", "expected one of balance, walk, go, got"),
+    ],
+)
+def test_settings_that_it_does_not_have_are_refused(file, robot, given, message):
+    with pytest.raises(ConfigError, match=message):
+        make_motion(robot, load_config(None, {"task": f"{file(OWN_SETTINGS)}:Mine{given}"}))
+
+
+def test_a_name_of_the_project_takes_no_settings_of_its_own():
+    with pytest.raises(ConfigError, match=r"controller: expected la without gain=3, got 'la:gain"):
+        load_config(None, {"controller": "la:gain=3"})
+
+
+def test_the_digest_depends_on_the_content_of_a_task_and_not_on_where_it_lies(file, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "changed").mkdir()
+    here, there = file(TASK), file(TASK, "elsewhere/mine.py")
+    changed = file(TASK + "\n    # changed", "changed/mine.py")
+    digests = [load_config(None, {"task": f"{path}:still"}).digest for path in (here, there)]
+    assert digests[0] == digests[1]
+    assert load_config(None, {"task": f"{changed}:still"}).digest != digests[0]
+
+
+def test_the_identity_of_a_package_covers_all_its_modules(file, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "their_tasks").mkdir()
+    file("", "their_tasks/__init__.py")
+    part = file("DEPTH = 1", "their_tasks/part.py")
+    file(TASK, "their_tasks/tasks.py")
+    before = TASKS.identity("their_tasks.tasks:still")
+    part.write_text("DEPTH = 2")
+    assert TASKS.identity("their_tasks.tasks:still") != before
 
 
 @pytest.mark.parametrize(("name", "expected"), [("pr", False), ("la", False), ("lc", True)])
