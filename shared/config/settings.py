@@ -654,8 +654,9 @@ class RunConfig:
     @property
     def digest(self) -> bytes:
         """The digest of the settings on which both ends must agree, eight bytes."""
-        # A file may lie elsewhere on the other machine. The motion has its own digest.
-        task, ground = self.task.rpartition(":")[2], self.ground.rpartition("/")[2]
+        # A file may lie elsewhere on the other machine: it counts by its content.
+        task = self.task if self.task in TASKS.own else TASKS.identity(self.task)
+        ground = self.ground.rpartition("/")[2]
         robot = self.robot
         if robot.name not in ROBOTS.own:  # the robot's file may too, so its content counts
             robot = replace(robot, name=f"{robot.label} {ROBOTS.identity(robot.name)}")
