@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from shared.errors import ConfigError
 from shared.robots.description import Foot, RobotDescription, Sole
+from shared.robots.meshes import mesh_files
 
 # The sole is the section this far above the lowest point, because edges are often rounded [m].
 SECTION = 0.001
@@ -23,6 +24,14 @@ def collision_sole(
     point in that frame [m]. Raise `ConfigError` if the joint has no shapes that can be cut.
     """
     what = f"robot {description.name}: feet.{side.value}.sole"
+    files = mesh_files(description.urdf, description.packages, kind="collision", what=what)
+    for link, name, path in files:
+        if path is None:
+            folders = " or ".join(map(str, description.packages))
+            raise ConfigError(
+                f"{what}: expected the mesh {name!r} of link {link} in {folders}, there is no such "
+                "file; try packages, the folders of packages, or sole = { x = […], y = […] }"
+            )
     try:
         geometry = pin.buildGeomFromUrdf(
             model,
@@ -31,7 +40,11 @@ def collision_sole(
             package_dirs=[str(folder) for folder in description.packages],
         )
     except ValueError as error:
-        raise ConfigError(f"{what}: {str(error).splitlines()[0]}; try packages") from None
+        reason = [line for line in str(error).splitlines() if line.startswith("message:")]
+        raise ConfigError(
+            f"{what}: expected meshes that can be read, got {' '.join(reason) or error}; try "
+            "another file, or sole = { x = […], y = […] }"
+        ) from None
     shapes = [each for each in geometry.geometryObjects if each.parentJoint == joint]
     meshes = [(placement.actInv(each.placement), _triangles(each, what=what)) for each in shapes]
     if not meshes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -98,11 +98,24 @@ class RobotDescription:
 
     @property
     def digest(self) -> str:
-        """A digest of the content of the robot file, the URDF and the SRDF, wherever they lie."""
+        """A digest of the content of the robot file, the URDF and the SRDF, wherever they lie.
+
+        With a sole from collision shapes it covers their meshes.
+        """
         digest = hashlib.sha256(self.stated.encode())
-        for path in (self.urdf, self.srdf):
+        for path in (self.urdf, self.srdf, *self._meshes_of_soles()):
             digest.update(path.read_bytes() if path is not None and path.is_file() else b"")
         return digest.hexdigest()[:16]
+
+    def _meshes_of_soles(self) -> Iterator[Path | None]:
+        """The collision meshes, if a sole is read off them."""
+        if any(foot.sole is None for foot in self.feet):
+            # Imported here: most descriptions have no meshes to look for.
+            from shared.robots.meshes import mesh_files
+
+            what = f"robot {self.name}: urdf"
+            for _, _, path in mesh_files(self.urdf, self.packages, kind="collision", what=what):
+                yield path
 
 
 @dataclass(frozen=True)

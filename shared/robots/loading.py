@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pinocchio as pin
 
-from shared.errors import ConfigError, one_of
+from shared.errors import ConfigError, did_you_mean, one_of
 from shared.robots import standing, urdf
 from shared.robots.description import (
     Foot,
@@ -20,6 +20,7 @@ from shared.robots.description import (
     RobotDescription,
     sole_frame_name,
 )
+from shared.robots.srdf import read_state
 from shared.robots.urdf import Urdf, read_urdf
 
 # Smallest second moment of mass of a body [kg m²]: MuJoCo refuses bodies whose principal moments of
@@ -29,6 +30,7 @@ _ROOT = "root_joint"
 _QUATERNION_ERROR = 1e-3
 
 URDF_CHECKS: dict[str, Callable[[Urdf], Iterator[str]]] = {
+    "finite numbers": urdf.numbers,
     "one tree without loops": urdf.one_tree,
     "hinges with a range, none of which mimics another": urdf.hinges,
     "finite positive limits of effort and velocity": urdf.efforts,
@@ -38,6 +40,7 @@ STANDING_CHECKS: dict[str, Callable[[Robot], Iterator[str]]] = {
     "posture within the joints' ranges": standing.posture_in_range,
     "sole frames with x forward and z up, level": standing.sole_axes,
     "one left and one right foot, on their sides": standing.feet_on_their_sides,
+    "soles of a foot's size, apart": standing.sole_sizes,
     "soles below everything, at one height": standing.soles_below,
     "centre of mass above the feet": standing.over_the_feet,
     "legs bent, so that steps are in reach": standing.bent_legs,
@@ -122,21 +125,7 @@ def _posture(description: RobotDescription, model: pin.Model, *, what: str) -> n
     """The configuration (nq,) of a description's posture, with the base anywhere."""
     posture = description.posture
     if posture.state:
-        pin.loadReferenceConfigurations(model, str(description.srdf), False)
-        known = [each.key() for each in model.referenceConfigurations]
-        if posture.state not in known:
-            raise ConfigError(
-                f"{what}: posture.state: expected a state of {description.srdf}, "
-                f"{one_of(known, posture.state)}"
-            )
-        q = np.array(model.referenceConfigurations[posture.state])
-        length = float(np.linalg.norm(q[3:7]))
-        if abs(length - 1.0) > _QUATERNION_ERROR:
-            raise ConfigError(
-                f"{what}: posture.state {posture.state}: expected a unit quaternion of the base, "
-                f"got one of length {length:.3g}; correct {_ROOT} in {description.srdf}"
-            )
-        return q
+        return _state_of_srdf(description, model, what=what)
     q = np.array(pin.neutral(model))
     q[3:7] = pin.Quaternion(pin.rpy.rpyToMatrix(*posture.base)).coeffs()
     joints = list(model.names)[2:]
@@ -144,6 +133,36 @@ def _posture(description: RobotDescription, model: pin.Model, *, what: str) -> n
         if name not in joints:
             raise ConfigError(f"{what}: posture.angles: {one_of(joints, name)}")
         q[model.joints[model.getJointId(name)].idx_q] = angle
+    return q
+
+
+def _state_of_srdf(description: RobotDescription, model: pin.Model, *, what: str) -> np.ndarray:
+    """The configuration (nq,) of a state of the SRDF. It may name joints that the URDF lacks."""
+    assert description.srdf is not None
+    name = description.posture.state
+    state = read_state(description.srdf, name, what=what)
+    where = f"{what}: posture.state {name}"
+    q = np.array(pin.neutral(model))
+    for index in range(1, model.njoints):
+        joint, values = model.joints[index], state.get(model.names[index])
+        if values is None:
+            continue
+        if len(values) != joint.nq:
+            raise ConfigError(
+                f"{where}: expected {joint.nq} numbers for joint {model.names[index]}, got "
+                f"{len(values)}; correct it in {description.srdf}"
+            )
+        q[joint.idx_q : joint.idx_q + joint.nq] = values
+    absent = [each for each in list(model.names)[2:] if each not in state]
+    for unknown in sorted(state.keys() - set(model.names)):
+        if meant := did_you_mean(absent, unknown):
+            raise ConfigError(f"{where}: expected a joint of the URDF, got {unknown!r}{meant}")
+    length = float(np.linalg.norm(q[3:7]))
+    if abs(length - 1.0) > _QUATERNION_ERROR:
+        raise ConfigError(
+            f"{where}: expected a unit quaternion of the base, got one of length {length:.3g}; "
+            f"correct {_ROOT} in {description.srdf}"
+        )
     return q
 
 

@@ -61,6 +61,9 @@ def read_robot(path: Path) -> RobotDescription:
         )
     top = _Table(read_toml(path, what="robot"), what=what, keys=_KEYS)
     packages = tuple((path.parent / each).resolve() for each in top.texts("packages"))
+    for folder in packages:
+        if not folder.is_dir():
+            raise top.error("packages", "folders", f"{folder}, which is none")
     packages = (*packages, path.parent.resolve(), data_folder())
     feet = top.table("feet", keys=tuple(Foot), required=True)
     settings = top.table("settings")

@@ -14,7 +14,8 @@ from shared.robots.description import Foot, Robot
 REACH_MARGIN = 0.97
 # A sole is level within this tilt, and both are of one height within this distance [rad, m].
 _TILT, _HEIGHT = 0.02, 0.005
-_AHEAD = 0.3
+# Least side of a sole, whose contact points are 5 mm inside it [m].
+_LEAST_SIDE = 0.02
 # A posture may be beyond a joint's range by rounding [rad].
 _ROUNDING = 1e-4
 # Least horizontal reach of a leg from below its hip [m].
@@ -38,19 +39,18 @@ def sole_axes(robot: Robot) -> Iterator[str]:
     """Yield the feet whose sole frame has not z up and x forward."""
     for side, sole in placements(robot).items():
         R = sole.rotation
-        forward = "x forward and z up"
-        if R[2, 2] < 1.0 - _TILT or R[0, 0] < 1.0 - _AHEAD:
-            axes = f"x {_direction(R[:, 0])} and z {_direction(R[:, 2])}"
+        rotation = f"feet.{side.value}.rotation = {_suggested(robot, side)}"
+        axes = _direction(R[:, 0]), _direction(R[:, 2])
+        tilt = math.degrees(math.acos(min(1.0, R[2, 2])))
+        if axes != ("forward", "up"):
             yield (
-                f"expected a sole frame with {forward}, got {axes} at the {side.value} foot; "
-                f"try feet.{side.value}.rotation = {_suggested(robot, side)}"
+                f"expected a sole frame with x forward and z up, got x {axes[0]} and z {axes[1]} "
+                f"at the {side.value} foot; try {rotation}"
             )
         elif math.hypot(R[2, 0], R[2, 1]) > _TILT:
-            tilt = math.degrees(math.asin(min(1.0, math.hypot(R[2, 0], R[2, 1]))))
             yield (
                 f"expected a level sole, got a tilt of {tilt:.2g}° at the {side.value} foot; "
-                f"change the angles of the ankle, or try feet.{side.value}.rotation = "
-                f"{_suggested(robot, side)}"
+                f"change the angles of the ankle, or try {rotation}"
             )
 
 
@@ -64,6 +64,34 @@ def feet_on_their_sides(robot: Robot) -> Iterator[str]:
             f"expected the left foot on the left (y), got it at {left.translation[1]:.3f} m and "
             f"the right one at {right.translation[1]:.3f} m; swap feet.left and feet.right, or "
             "turn the base of the posture, so that x is forward"
+        )
+
+
+def sole_sizes(robot: Robot) -> Iterator[str]:
+    """Yield a fault if a sole is too small or too large, far from its joint, or over the other."""
+    length, _ = leg_length(robot)
+    for sole in robot.soles:
+        name, frame = f"the {sole.side.value} sole", robot.sole_frame(sole.side)
+        for axis, (least, most) in (("x", sole.x), ("y", sole.y)):
+            if not _LEAST_SIDE <= most - least <= length:
+                yield (
+                    f"expected sides between {_LEAST_SIDE:g} m and a leg's length, {length:.2g} m, "
+                    f"got {most - least:.3g} m along {axis} at {name}; correct "
+                    f"feet.{sole.side.value}.sole, in metres"
+                )
+        far = float(np.linalg.norm(frame.placement.translation))
+        if far > length:
+            yield (
+                f"expected {name} within a leg's length of its joint, {length:.2g} m, got "
+                f"{far:.3g} m; correct feet.{sole.side.value}.translation, in metres"
+            )
+    at, soles = placements(robot), {sole.side: sole for sole in robot.soles}
+    corners = {side: [at[side].act(corner)[1] for corner in soles[side].corners()] for side in Foot}
+    overlap = max(corners[Foot.RIGHT]) - min(corners[Foot.LEFT])
+    if overlap > 0.0:
+        yield (
+            f"expected the left sole to the left of the right one, got an overlap of {overlap:.3f} "
+            "m in y; correct the soles, or stand wider in the posture"
         )
 
 

@@ -7,6 +7,7 @@ limits, and prints rather than raises. So these are looked for first.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +18,19 @@ from shared.regular_file import read_regular
 
 _MAX_BYTES = 20_000_000
 _FIXED = "fixed"
+# The attributes that hold numbers, and how many.
+_NUMBERS = {"xyz": 3, "rpy": 3, "value": 1, "effort": 1, "velocity": 1, "lower": 1, "upper": 1}
+_NUMBERS |= dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1)
+# Moments of inertia of published robots are below 0 by rounding [kg m²].
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint of a URDF. Limits are NaN where the URDF has none; `mimics` names another joint."""
+    """A joint of a URDF. Limits are NaN where the URDF has none; `mimics` names another joint.
+
+    `axis` is the joint's in its frame, (1, 0, 0) if the URDF has none.
+    """
 
     name: str
     kind: str
@@ -31,15 +40,24 @@ class Joint:
     velocity: float
     lower: float
     upper: float
+    axis: tuple[float, ...]
     mimics: str | None
 
 
 @dataclass(frozen=True)
 class Urdf:
-    """Links with their masses [kg], 0 without one, and the joints between them."""
+    """Links with their masses [kg], 0 without one, and the joints between them.
+
+    `least_moments` are the least of each link's moments of inertia about its axes [kg m²].
+    `repeated` are links and joints with the name of another one, `unread` the attributes that are
+    no finite numbers, in words.
+    """
 
     masses: dict[str, float]
+    least_moments: dict[str, float]
     joints: tuple[Joint, ...]
+    repeated: tuple[str, ...]
+    unread: tuple[str, ...]
 
     @property
     def moving(self) -> list[Joint]:
@@ -53,23 +71,63 @@ class Urdf:
         return self.masses.get(link, 0.0) + sum(self.carried(child) for child in fixed)
 
 
-def read_urdf(path: Path, *, what: str) -> Urdf:
-    """Read a URDF; raise `ConfigError`, which begins with `what`, if it is none."""
+def read_xml(path: Path, *, what: str) -> Xml.Element:
+    """Return the root of an XML file. Raise `ConfigError`, which begins with `what`, for others."""
     try:
-        root = Xml.fromstring(read_regular(path, at_most=_MAX_BYTES))
+        return Xml.fromstring(read_regular(path, at_most=_MAX_BYTES))
     except OSError as error:
         raise ConfigError(f"{what}: cannot read {path}: {error.strerror}") from None
     except Xml.ParseError as error:
         raise ConfigError(f"{what}: {path} is not valid XML: {error}") from None
+
+
+def read_urdf(path: Path, *, what: str) -> Urdf:
+    """Read a URDF; raise `ConfigError`, which begins with `what`, if it is none."""
+    root = read_xml(path, what=what)
     links = [each for each in root.iterfind("link") if each.get("name")]
     if root.tag != "robot" or not links:
         raise ConfigError(f"{what}: expected a URDF, a <robot> with links, got {path}")
+    joints = root.findall("joint")
+    parts = [*links, *joints]
+    names = Counter((part.tag, part.get("name", "")) for part in parts)
+    inertias = {link.get("name", ""): link.find("inertial/inertia") for link in links}
     return Urdf(
         masses={
             link.get("name", ""): _number(link.find("inertial/mass"), "value") for link in links
         },
-        joints=tuple(_joint(each) for each in root.iterfind("joint")),
+        least_moments={
+            name: min(_number(inertia, key) for key in ("ixx", "iyy", "izz"))
+            for name, inertia in inertias.items()
+        },
+        joints=tuple(_joint(each) for each in joints),
+        repeated=tuple(f"{tag} {name}" for (tag, name), count in names.items() if count > 1),
+        unread=tuple(text for part in parts for text in _unread(part)),
     )
+
+
+def _unread(part: Xml.Element) -> Iterator[str]:
+    """Yield the attributes of a link or joint, in words, that have not their finite numbers."""
+    for element in part.iter():
+        for key, count in _NUMBERS.items():
+            text = element.get(key)
+            if text is None or (key == "value" and element.tag != "mass"):
+                continue
+            try:
+                numbers = [float(word) for word in text.split()]
+            except ValueError:
+                numbers = []
+            # Infinite limits and masses have checks of their own.
+            bad = math.isnan if count == 1 else _is_not_finite
+            if len(numbers) != count or any(bad(number) for number in numbers):
+                wanted = "a number" if count == 1 else f"{count} numbers"
+                yield (
+                    f"expected {wanted}, got {key}={text!r} in <{element.tag}> of {part.tag} "
+                    f"{part.get('name')}; correct it in the URDF"
+                )
+
+
+def _is_not_finite(number: float) -> bool:
+    return not math.isfinite(number)
 
 
 def _joint(element: Xml.Element) -> Joint:
@@ -87,8 +145,17 @@ def _joint(element: Xml.Element) -> Joint:
         velocity=_number(limit, "velocity", math.nan),
         lower=_number(limit, "lower"),
         upper=_number(limit, "upper"),
+        axis=_axis(element.find("axis")),
         mimics=None if mimic is None else mimic.get("joint", ""),
     )
+
+
+def _axis(element: Xml.Element | None) -> tuple[float, ...]:
+    words = ["1", "0", "0"] if element is None else element.get("xyz", "1 0 0").split()
+    try:
+        return tuple(float(word) for word in words)
+    except ValueError:
+        return (math.nan,)
 
 
 def _number(element: Xml.Element | None, name: str, missing: float = 0.0) -> float:
@@ -101,8 +168,17 @@ def _number(element: Xml.Element | None, name: str, missing: float = 0.0) -> flo
         return math.nan
 
 
+def numbers(urdf: Urdf) -> Iterator[str]:
+    """Yield the attributes that are no finite numbers."""
+    yield from urdf.unread
+
+
 def one_tree(urdf: Urdf) -> Iterator[str]:
-    """Yield the links that close a loop, that the URDF does not have, or that are a second root."""
+    """Yield names that two parts have, and links that make a loop, have no place, or are a second
+    root.
+    """
+    for part in urdf.repeated:
+        yield f"expected a name for each link and joint, got {part} twice; rename one of them"
     parents: dict[str, Joint] = {}
     for joint in urdf.joints:
         for link in (joint.parent, joint.child):
@@ -119,6 +195,20 @@ def one_tree(urdf: Urdf) -> Iterator[str]:
         yield (
             f"expected one root link, got {', '.join(roots) or 'a loop of all links'}; "
             "connect the links by joints"
+        )
+    children: dict[str, list[str]] = {}
+    for joint in urdf.joints:
+        children.setdefault(joint.parent, []).append(joint.child)
+    reached, coming = set[str](), roots[:1]
+    while coming:
+        link = coming.pop()
+        if link not in reached:
+            reached.add(link)
+            coming += children.get(link, [])
+    if len(roots) == 1 and (lost := [link for link in urdf.masses if link not in reached]):
+        yield (
+            f"expected all links below {roots[0]}, got the links {', '.join(lost)} in a loop of "
+            "their own; correct the parents of their joints"
         )
 
 
@@ -142,6 +232,10 @@ def hinges(urdf: Urdf) -> Iterator[str]:
                 f"expected a range of angles, got lower {joint.lower:g} and upper {joint.upper:g} "
                 f"at joint {joint.name}; write its limits into the URDF [rad]"
             )
+        elif not any(joint.axis):
+            yield (
+                f"expected an axis, got {joint.axis} at joint {joint.name}; write it into the URDF"
+            )
 
 
 def efforts(urdf: Urdf) -> Iterator[str]:
@@ -164,6 +258,11 @@ def masses(urdf: Urdf) -> Iterator[str]:
     for link, mass in urdf.masses.items():
         if mass < 0.0 or math.isnan(mass) or mass == math.inf:
             yield f"expected a finite mass of at least 0, got {mass:g} kg at link {link}"
+        if urdf.least_moments[link] < -_ROUNDING:
+            yield (
+                f"expected moments of inertia of at least 0, got {urdf.least_moments[link]:g} kg m² "
+                f"at link {link}; correct its inertia in the URDF"
+            )
     for joint in urdf.moving:
         mass = urdf.carried(joint.child)
         if mass == 0.0:

@@ -203,7 +203,7 @@ def test_a_posture_is_a_state_of_an_srdf(tmp_path):
     with pytest.raises(ConfigError, match="expected a unit quaternion of the base"):
         load_robot(str(file))
     (tmp_path / "biped.srdf").write_text(_srdf("0 0 0 1").replace('"up"', '"down"'))
-    with pytest.raises(ConfigError, match=r"posture.state: expected a state of .*got 'up'"):
+    with pytest.raises(ConfigError, match=r"posture.state: expected one of down, got 'up'"):
         load_robot(str(file))
 
 
@@ -211,3 +211,35 @@ def test_a_base_that_is_turned_upside_down_shows_in_the_sole_axes(tmp_path):
     angles = ("[posture.angles]", f"[posture]\nbase = [{math.pi}, 0.0, 0.0]\n[posture.angles]")
     with pytest.raises(ConfigError, match=r"z down at the left foot; try feet.left.rotation"):
         load_robot(str(write_biped(tmp_path, file=angles)))
+
+
+def test_the_digest_covers_the_mesh_of_a_sole_and_no_other_one(tmp_path):
+    trunk, foot = '<box size="0.16 0.28 0.45"/>', '<box size="0.22 0.11 0.03"/>'
+    file = write_biped(tmp_path)
+    urdf, text = tmp_path / "biped.urdf", file.read_text()
+    parts = urdf.read_text().split("<collision>")
+    parts[0] = parts[0].replace(trunk, '<mesh filename="trunk.stl"/>')
+    parts[-1] = parts[-1].replace(foot, '<mesh filename="package://foot.stl"/>')
+    urdf.write_text("<collision>".join(parts))
+
+    def digest(mesh, *, of):
+        (tmp_path / mesh).write_text(of)
+        return ROBOTS.identity(str(file))
+
+    before = digest("foot.stl", of="a foot")
+    assert digest("trunk.stl", of="a trunk") == before
+    assert digest("foot.stl", of="another foot") != before
+    numbers = "translation = [0, 0, -0.07]\nsole = { x = [-0.08, 0.14], y = [-0.05, 0.05] }"
+    file.write_text(text.replace('sole = "collision"', numbers))
+    assert digest("foot.stl", of="a foot") == digest("foot.stl", of="another foot")
+
+
+def test_a_fault_in_a_robots_settings_names_its_file(tmp_path):
+    file = str(write_biped(tmp_path, file=("push =", "pussh =")))
+    with pytest.raises(ConfigError, match=r"robot biped: settings.balance.pussh: expected some of"):
+        load_config(None, {"robot.name": file})
+    sound = str(write_biped(tmp_path, name="sound"))
+    with pytest.raises(ConfigError, match=r"^duration: expected a number"):
+        load_config(None, {"robot.name": sound, "duration": -1.0})
+    with pytest.raises(ConfigError, match=r"^robot: expected a table"):
+        load_config(None, {"robot": "sound"})
