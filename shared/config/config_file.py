@@ -38,7 +38,11 @@ def load_config(path: Path | str | None, overrides: dict[str, Any] | None = None
     for key, value in (overrides or {}).items():
         _set_dotted(table, key, value)
     _locate_extensions(table, Path.cwd())
-    config = _build(RunConfig, _merged(_defaults(table), table), where="")
+    try:
+        config = _build(RunConfig, _merged(_defaults(table), table), where="")
+    except ConfigError:
+        _check_robots_settings(table)
+        raise
     if config.walks and "duration" not in table:
         config = dataclasses.replace(config, duration=_walk_duration(config))
     return config
@@ -84,13 +88,34 @@ _LOCATED: dict[str, Callable[[str, Path], str]] = {
 }
 
 
-def _defaults(table: dict[str, Any]) -> dict[str, Any]:
-    """Return the defaults that the task, and then the robot, of `table` change."""
+def _names_in(table: dict[str, Any]) -> tuple[str, str] | None:
+    """The task and the robot of a table, or None if one is no text, which `_build` refuses."""
     task, robot = table.get("task", RunConfig.task), table.get("robot", {})
     name = robot.get("name", RobotConfig.name) if isinstance(robot, dict) else None
-    if not (isinstance(task, str) and isinstance(name, str)):
-        return {}  # `_build` refuses it
-    return _merged(_PRESETS.get(task, {}), description_of(name).settings.get(task, {}))
+    return (task, name) if isinstance(task, str) and isinstance(name, str) else None
+
+
+def _defaults(table: dict[str, Any]) -> dict[str, Any]:
+    """Return the defaults that the task, and then the robot, of `table` change."""
+    if (names := _names_in(table)) is None:
+        return {}
+    task, robot = names
+    return _merged(_PRESETS.get(task, {}), description_of(robot).settings.get(task, {}))
+
+
+def _check_robots_settings(table: dict[str, Any]) -> None:
+    """Raise a `ConfigError` that names the robot file if its settings alone are at fault."""
+    if (names := _names_in(table)) is None:
+        return
+    task, robot = names
+    description = description_of(robot)
+    alone = {**_defaults(table), "task": task}
+    try:
+        _build(RunConfig, alone, where="")
+    except ConfigError as error:
+        key = str(error).partition(":")[0].partition(".")[0]
+        if key in description.settings.get(task, {}):
+            raise ConfigError(f"robot {description.name}: settings.{task}.{error}") from None
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
