@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,16 @@ import numpy as np
 from experiments.lockstep import Lockstep, TrialResult
 from experiments.trial import write_run
 from shared.config.config_file import load_config
+from shared.config.extensions import TASKS
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError, UserError
 from shared.output.fall import fall_in_words
 from shared.process.cli import EXIT_FELL, EXIT_STANDING
 from shared.process.entry import EXIT_ERROR
-from shared.robots import ROBOTS, Robot, description_of
+from shared.robots import ROBOTS, Robot, RobotDescription, description_of
 from shared.robots.derived import derived_settings
 from shared.robots.loading import checks, load
+from shared.robots.meshes import mesh_files
 from shared.robots.standing import leg_reach, standing_torques
 
 _NO_PICTURE = "none"
@@ -83,7 +86,7 @@ def run_robot_check(arguments: argparse.Namespace) -> int:
     name = ROBOTS.absolute(arguments.robot, Path.cwd())
     description = description_of(name)
     faults = 0
-    for check, found in checks(description):
+    for check, found in (*_checks_of_files(name, description), *checks(description)):
         _say(check, *found)
         faults += len(found)
     if faults:
@@ -108,6 +111,30 @@ def run_robot_check(arguments: argparse.Namespace) -> int:
         out = Path(arguments.picture or f"{description.name}.png")
         print(_drawn(config, result, out))
     return EXIT_FELL if fallen else EXIT_STANDING
+
+
+def _checks_of_files(name: str, description: RobotDescription) -> Iterator[tuple[str, list[str]]]:
+    """Yield the checks that need more than the robot: its settings, and the meshes of the view."""
+    faults = []
+    for task in description.settings:
+        try:
+            TASKS.check(task)
+            load_config(None, {"robot.name": name, "task": task})
+        except ConfigError as error:
+            text = str(error).removeprefix(f"robot {description.name}: ")
+            faults.append(text if text.startswith("settings.") else f"settings.{task}: {text}")
+    yield "settings that tasks have", faults
+    meshes = mesh_files(description.urdf, description.packages, kind="visual", what="urdf")
+    folders = " or ".join(map(str, description.packages))
+    yield (
+        "meshes of the view",
+        [
+            f"expected the mesh {mesh!r} of link {link} in {folders}, there is no such file; try "
+            "packages, the folders of packages, or leave its <visual> out"
+            for link, mesh, path in meshes
+            if path is None
+        ],
+    )
 
 
 def in_words(robot: Robot) -> str:

@@ -2,12 +2,12 @@
 
 A URDF may name COLLADA, STL or OBJ files or plain shapes. Rerun draws glTF, and refuses the COLLADA
 version of some robots. Each shape is converted once, in its file's frame and with the URDF's scale.
-The user's cache keeps it under the robot's name and the version of its data.
+The user's cache keeps it under the robot's name and an identity of its files.
 """
 
 from __future__ import annotations
 
-import importlib.metadata
+import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from shared.commands import wbc
 from shared.errors import UserError
 from shared.robots import Robot
+from shared.robots.meshes import mesh_files
 
 if TYPE_CHECKING:
     import trimesh
@@ -33,23 +35,32 @@ class LinkMesh:
     glb: bytes
 
 
-def cache_folder(robot_name: str) -> Path:
-    """Return the folder of a robot's converted meshes."""
+def cache_folder(robot: Robot) -> Path:
+    """Return the folder of a robot's converted meshes: another one once a file has changed."""
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    version = importlib.metadata.version("example-robot-data")
-    return Path(root) / "remote-wbc" / "meshes" / f"{robot_name}-{version}"
+    urdf, what = robot.description.urdf, f"robot {robot.name}: urdf"
+    digest = hashlib.sha256(urdf.read_bytes())
+    for _, _, path in mesh_files(urdf, robot.description.packages, kind="visual", what=what):
+        if path is not None:
+            status = path.stat()
+            digest.update(f"{path} {status.st_size} {status.st_mtime_ns}".encode())
+    return Path(root) / "remote-wbc" / "meshes" / f"{robot.name}-{digest.hexdigest()[:16]}"
 
 
 def load_meshes(robot: Robot, *, cache: Path | None = None) -> tuple[LinkMesh, ...]:
     """Return a robot's visual shapes, converted or cached; `UserError` if a file is missing."""
-    folder = cache_folder(robot.name) if cache is None else cache
+    folder = cache_folder(robot) if cache is None else cache
     packages = [str(folder) for folder in robot.description.packages]
     try:
         geometry = pin.buildGeomFromUrdf(
             robot.model, str(robot.description.urdf), pin.GeometryType.VISUAL, package_dirs=packages
         )
     except ValueError as error:
-        raise UserError(f"meshes of {robot.name}: {error}") from None
+        reason = " ".join(str(error).split())
+        raise UserError(
+            f"meshes of {robot.name}: expected files that can be read, got: {reason}; try "
+            f"{wbc('robot')} check, or packages in the robot file"
+        ) from None
     return tuple(
         LinkMesh(
             name=shape.name,

@@ -10,7 +10,8 @@ import pinocchio as pin
 import pytest
 import trimesh
 
-from shared.robots import Robot
+from shared.robots import Robot, load_robot
+from tests.robots.biped import write_biped
 from viewer.meshes import cache_folder, load_meshes, to_glb
 
 
@@ -64,10 +65,18 @@ def test_a_cache_that_cannot_be_written_is_done_without(robot: Robot, tmp_path: 
     assert len(load_meshes(robot, cache=file / "folder")) > 0
 
 
-def test_the_cache_is_the_users_and_names_robot_and_data_version(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_the_cache_is_the_users_and_another_one_once_a_file_has_changed(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    folder = cache_folder("romeo")
-    assert folder.is_relative_to(tmp_path / "remote-wbc")
-    assert folder.name.startswith("romeo-")
+    assert cache_folder(robot).is_relative_to(tmp_path / "remote-wbc")
+    assert cache_folder(robot).name.startswith("romeo-")
+    (tmp_path / "trunk.stl").touch()
+    shape = '<box size="0.16 0.28 0.45"/>'
+    file = write_biped(tmp_path, urdf=(shape, '<mesh filename="trunk.stl"/>'))
+    before = cache_folder(load_robot(str(file)))
+    (tmp_path / "trunk.stl").write_text("another trunk")
+    changed = cache_folder(load_robot(str(file)))
+    assert changed != before
+    write_biped(tmp_path, urdf=(shape, '<mesh filename="other.stl"/>'))
+    assert cache_folder(load_robot(str(file))) not in (before, changed)

@@ -31,7 +31,7 @@ def load_hulls(robot: Robot, *, cache: Path | None = None) -> dict[str, Any]:
     into them, and `vertices` (n, 3) [m] in the joint's frame. Its `faces` (m, 3) are
     counter-clockwise from outside, and its `colour` (3,) is from 0 to 255.
     """
-    file = (cache_folder(robot.name) if cache is None else cache) / f"hulls-{_VERSION}.json"
+    file = (cache_folder(robot) if cache is None else cache) / f"hulls-{_VERSION}.json"
     try:
         hulls: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
