@@ -1,8 +1,8 @@
 """The values of a setting that others can extend, and the objects that they name.
 
 A value is one of the project's names, a name that an installed package announces by an entry point,
-or a reference to the user's own: `package.module:Name`, or `path/file.py:Name`. Settings of its own
-may follow, `:gain=3`. A robot is a file of data instead, `path/file.toml`: see
+or a reference to the user's own: `package.module:Name`, or `path/file.py:Name`. Settings of the
+class may follow, `:gain=3`. A robot is a file of data instead, `path/file.toml`: see
 `shared/robots/catalogue.py`.
 """
 
