@@ -1,8 +1,8 @@
-"""Your own plant: the robot of somebody else's MuJoCo model, `examples/biped.xml`.
+"""Your own plant: the robot of somebody else's MuJoCo model, that of `wbc new plant`.
 
     ./deploy/python -m examples.own_plant
 
-The model has another order of joints, and gears. Its class is a `robot_node.plant.Plant`.
+The model has another order of joints than the robot, and gears.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from shared.config.config_file import load_config
 from shared.config.settings import PlantConfig
 from shared.robots import Foot, Robot
 
-FOLDER, FEET = Path(__file__).parent, {foot: f"{foot.value}_foot" for foot in Foot}
+FOLDER, MODEL = Path(__file__).parent, "experiments/templates/plant/NAME/NAME.xml"
 
 
 class MjcfPlant:
     def __init__(self, robot: Robot, config: PlantConfig, *, timestep: float) -> None:
-        self._model = model = mujoco.MjModel.from_xml_path(str(FOLDER / "biped.xml"))
+        self._model = model = mujoco.MjModel.from_xml_path(str(FOLDER.parent / MODEL))
         model.opt.timestep, self._data = timestep, mujoco.MjData(model)
         joints = [model.joint(name).id for name in list(robot.model.names)[2:]]
         self._q = [*range(7), *model.jnt_qposadr[joints]]
@@ -40,7 +40,7 @@ class MjcfPlant:
 
     def contact_forces(self) -> dict[Foot, np.ndarray]:
         mujoco.mj_rnePostConstraint(self._model, self._data)
-        return {foot: self._data.body(name).cfrc_ext[3:].copy() for foot, name in FEET.items()}
+        return {foot: self._data.body(f"{foot.value}_foot").cfrc_ext[3:].copy() for foot in Foot}
 
     def step(self, tau: np.ndarray, *, push: np.ndarray) -> None:
         self._data.ctrl[self._motors] = tau / self._model.actuator_gear[self._motors, 0]

@@ -29,7 +29,7 @@ COMMANDS = (
         "measure the limits of a stale factorisation at random states",
         f"{_STUDIES}.corrections",
     ),
-    Subcommand("new", "make a package for a controller, task or robot", "experiments.new"),
+    Subcommand("new", "make a package for a controller, task, robot or plant", "experiments.new"),
     Subcommand("config", "print the settings of a run", "experiments.resolved"),
     Subcommand(
         "settings",

@@ -82,6 +82,8 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_link(arguments: argparse.Namespace) -> int:
     """Play the windows that are missing. Print a line for each controller and the verdict."""
+    if arguments.push == "none":
+        raise ConfigError(f"--push: expected a push in each window as in {_PUSH}, got none")
     profile = load_profile(arguments.network.removeprefix(CAPACITY))
     found = link_outages(profile)
     starts = window_starts(

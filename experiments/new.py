@@ -1,4 +1,4 @@
-"""Make a package to begin from, with a controller, a task or a robot, and its test."""
+"""Make a package to begin from, with a controller, task, robot or plant, and its test."""
 
 from __future__ import annotations
 
@@ -11,7 +11,14 @@ from shared.errors import ConfigError, writing
 from shared.process.cli import EXIT_STANDING
 
 _TEMPLATES = Path(__file__).with_name("templates")
-KINDS = ("controller", "task", "robot")
+# The templates of each kind, of which a later one replaces files of an earlier one: a plant is that
+# of a robot.
+KINDS = {
+    "controller": ("controller",),
+    "task": ("task",),
+    "robot": ("robot",),
+    "plant": ("robot", "plant"),
+}
 # The placeholders of the name in the files of a template and in their names: in lower case, and as
 # a class name.
 _NAME, _CLASS = "NAME", "CLASS"
@@ -20,7 +27,7 @@ _ALLOWED = re.compile(r"[a-z][a-z0-9_]*")
 
 def add_new_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `new`."""
-    parser.add_argument("kind", choices=KINDS, help="the content of the package")
+    parser.add_argument("kind", choices=list(KINDS), help="the content of the package")
     parser.add_argument("name", help="name of package and folder, as in my_controller")
 
 
@@ -48,15 +55,24 @@ def make(kind: str, name: str, folder: Path) -> None:
             f"new: expected a name without a folder, got {folder}, which exists; try another"
         )
     names = {_NAME: name, _CLASS: "".join(part.capitalize() for part in name.split("_"))}
-    template = _TEMPLATES / kind
     with writing(folder, what="new"):
-        for source in sorted(path for path in template.rglob("*") if path.is_file()):
-            made = folder / _filled(source.relative_to(template).as_posix(), names)
+        for name_in_folder, source in _files(kind).items():
+            made = folder / _filled(name_in_folder, names)
             made.parent.mkdir(parents=True, exist_ok=True)
             # The Python files of a template are no code of this project.
             made = made.with_name(made.name.removesuffix(".txt"))
             made.write_text(_filled(source.read_text(encoding="utf-8"), names), encoding="utf-8")
             shutil.copymode(source, made)
+
+
+def _files(kind: str) -> dict[str, Path]:
+    """The files of a kind's templates, by their path in the folder."""
+    return {
+        path.relative_to(_TEMPLATES / template).as_posix(): path
+        for template in KINDS[kind]
+        for path in sorted((_TEMPLATES / template).rglob("*"))
+        if path.is_file()
+    }
 
 
 def _filled(text: str, names: dict[str, str]) -> str:

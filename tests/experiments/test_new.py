@@ -1,4 +1,4 @@
-"""Templates of a controller, a task and a robot: each passes its own test as it is made."""
+"""Templates of a controller, task, robot and plant: each passes its own test as it is made."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shared.errors import ConfigError
 from shared.process.entry import python
 from shared.toml_file import read_toml
 
-SETTING = {"controller": "controller", "task": "task", "robot": "robot.name"}
+SETTING = {"controller": "controller", "task": "task", "robot": "robot.name", "plant": "plant.kind"}
 
 
 @pytest.mark.parametrize("kind", KINDS)
