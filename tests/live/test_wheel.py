@@ -40,7 +40,7 @@ def wbc(programs: Path, tmp_path: Path):
     return run
 
 
-def test_the_stack_runs_without_the_checkout(wbc, programs):
+def test_nothing_of_the_checkout_is_imported(programs):
     found = subprocess.run(
         [str(programs / "python"), "-I", "-c", "import shared; print(shared.__file__)"],
         capture_output=True,
@@ -48,15 +48,16 @@ def test_the_stack_runs_without_the_checkout(wbc, programs):
         check=True,
     )
     assert not Path(found.stdout.strip()).is_relative_to(ROOT)
-    said = wbc("up", "--view", "off", "--duration", "1", "--push", "none", "--out", "run")
-    assert "Stands after 1.00 s of balance with LA" in said
 
 
-def test_a_package_made_by_new_is_installed_and_used_by_its_name(wbc, programs, tmp_path):
-    wbc("new", "task", "swaying")
-    wbc("new", "robot", "boxes")
-    for name in ("swaying", "boxes"):
+def test_packages_made_by_new_are_installed_and_used_by_their_names(wbc, programs, tmp_path):
+    made = {"controller": "steady", "task": "swaying", "plant": "boxes"}
+    for kind, name in made.items():
+        wbc("new", kind, name)
         install(programs, tmp_path / name)
     assert "balance, walk, go, swaying" in " ".join(wbc("trial", "--help").split())
-    said = wbc("trial", "--task", "swaying", "--robot", "boxes", "--duration", "0.3")
-    assert "Stands after 0.30 s of swaying" in said
+    wbc("plant", "check", "--robot", "boxes", "--plant", "boxes")
+    own = ("--controller", "steady", "--task", "swaying", "--robot", "boxes", "--plant", "boxes")
+    options = ("--view", "off", "--duration", "0.5", "--push", "none", "--out", "own")
+    said = wbc("up", *own, *options)
+    assert "Stands after 0.50 s of swaying with steady" in said
