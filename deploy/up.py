@@ -17,6 +17,7 @@ import contextlib
 import dataclasses
 import errno
 import itertools
+import re
 import socket
 import time
 from collections.abc import Sequence
@@ -199,9 +200,10 @@ def _check_scene(scene: Sequence[CommandEvent], plan: Plan) -> None:
 def _run_folder(out: Path | None, config: RunConfig, services: tuple[str, ...]) -> Path:
     """Make a new folder with the settings in it."""
     if out is None:
-        network = config.link.network.replace("/", "-").replace(":", "-").strip(".-")
         controller = CONTROLLERS.label(config.controller).lower()
-        what = f"{TASKS.label(config.task)}-{controller}-{network}"
+        words = (TASKS.label(config.task), controller, config.link.network)
+        # A name of a user's may have settings, and a network is a path.
+        what = "-".join(re.sub(r"[^\w.=-]+", "-", word).strip(".-") for word in words)
         stamp = time.strftime("%Y%m%d-%H%M%S")
         name = f"{stamp}-{what if ROBOT in services else '-'.join(services)}"
         out = _new_folder(Path("runs") / name)

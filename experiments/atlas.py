@@ -124,7 +124,7 @@ def study_from(arguments: argparse.Namespace) -> Study:
     lasting = _seconds("--push-for", arguments.push_for)
     return make_study(
         {
-            "name": f"atlas-{TASKS.label(task)}",
+            "name": re.sub(r"[^\w.=-]+", "-", f"atlas-{TASKS.label(task)}"),
             "description": "how often a robot falls over constant round trip, push and controller",
             "base": {"task": task, **_changed(config)},
             "grid": {
