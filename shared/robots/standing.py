@@ -179,16 +179,25 @@ def leg_reach(robot: Robot, *, raised: float = 0.0) -> float:
 def leg_length(robot: Robot) -> tuple[float, float]:
     """Length of a leg as far as a step may stretch it, and height of the hip over the ankle in
     standing [m].
+
+    The knee alone stretches a leg. It is the joint with the longest arms to hip and ankle, across
+    its axis. Offsets between the joints of a hip stay as they are.
     """
     model = robot.model
     data = model.createData()
-    pin.forwardKinematics(model, data, robot.q_standing)
+    pin.computeJointJacobians(model, data, robot.q_standing)
     ankle = robot.sole_frame(Foot.LEFT).parentJoint
     chain = [joint for joint in model.supports[ankle] if joint > 1]
-    lengths = [np.linalg.norm(model.jointPlacements[joint].translation) for joint in chain[1:]]
-    stretched = float(sum(lengths)) * REACH_MARGIN
-    height = float(data.oMi[chain[0]].translation[2] - data.oMi[ankle].translation[2])
-    return stretched, height
+    hip_at, ankle_at = (data.oMi[joint].translation for joint in (chain[0], ankle))
+    shorter, longest = -1.0, 0.0
+    for joint in chain[1:-1]:
+        axis = data.J[3:, model.joints[joint].idx_v]
+        arms = [at - data.oMi[joint].translation for at in (hip_at, ankle_at)]
+        along = [float(arm @ axis) for arm in arms]
+        across = [float(np.linalg.norm(arm - axis * (arm @ axis))) for arm in arms]
+        if min(across) > shorter:
+            shorter, longest = min(across), math.hypot(sum(across), along[0] - along[1])
+    return longest * REACH_MARGIN, float(hip_at[2] - ankle_at[2])
 
 
 def standing_torques(robot: Robot) -> np.ndarray:
