@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 _SILENCE_NS = 1_000_000_000
 _HINTS = {
-    "config": "it runs with another task, [robot], [wbc] or [walk]; use one --config at both ends",
+    "config": "it runs with another task, [robot], [wbc] or [walk], or other content of the files "
+    "of task or robot; use one --config at both ends",
     "plan": "it derived another motion from the same settings; use one version of the software",
     "version": "it runs another version of the software",
     "limits": "a joint, a speed or the base is where no robot can be; look at its sensors",

@@ -11,7 +11,8 @@ from shared.config.settings import LoopConfig, RunConfig
 _OTHER = "docs/wire.md describes this check"
 # The remedy for each check that a message may fail.
 REMEDIES = {
-    "config": "use one --config at both ends: task, ground, [robot], [wbc] and [walk] differ",
+    "config": "use one --config at both ends: task, ground, [robot], [wbc] and [walk] differ, or "
+    "the content of the files of task or robot",
     "plan": "use one version of the software at both ends: the motions differ",
     "version": "use one version of the software at both ends",
     "session": "end the other robot of this name, or give this one --name",
