@@ -260,8 +260,8 @@ def masses(urdf: Urdf) -> Iterator[str]:
             yield f"expected a finite mass of at least 0, got {mass:g} kg at link {link}"
         if urdf.least_moments[link] < -_ROUNDING:
             yield (
-                f"expected moments of inertia of at least 0, got {urdf.least_moments[link]:g} kg m² "
-                f"at link {link}; correct its inertia in the URDF"
+                f"expected moments of inertia of at least 0, got {urdf.least_moments[link]:g} "
+                f"kg m² at link {link}; correct its inertia in the URDF"
             )
     for joint in urdf.moving:
         mass = urdf.carried(joint.child)
