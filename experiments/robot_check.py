@@ -129,7 +129,7 @@ def _checks_of_files(name: str, description: RobotDescription) -> Iterator[tuple
     yield (
         "meshes of the view",
         [
-            f"expected the mesh {mesh!r} of link {link} in {folders}, there is no such file; try "
+            f"expected the mesh {mesh!r} of link {link} in {folders}, got no such file; try "
             "packages, the folders of packages, or leave its <visual> out"
             for link, mesh, path in meshes
             if path is None

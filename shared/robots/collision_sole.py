@@ -29,7 +29,7 @@ def collision_sole(
         if path is None:
             folders = " or ".join(map(str, description.packages))
             raise ConfigError(
-                f"{what}: expected the mesh {name!r} of link {link} in {folders}, there is no such "
+                f"{what}: expected the mesh {name!r} of link {link} in {folders}, got no such "
                 "file; try packages, the folders of packages, or sole = { x = […], y = […] }"
             )
     try:

@@ -116,7 +116,7 @@ def _unread(part: Xml.Element) -> Iterator[str]:
                 numbers = [float(word) for word in text.split()]
             except ValueError:
                 numbers = []
-            # Infinite limits and masses have checks of their own.
+            # Other checks refuse infinite limits and masses.
             bad = math.isnan if count == 1 else _is_not_finite
             if len(numbers) != count or any(bad(number) for number in numbers):
                 wanted = "a number" if count == 1 else f"{count} numbers"
