@@ -39,7 +39,9 @@ from shared.wbc.qp import QpStatus
 from shared.wire.operator.events import EVENTS_FILE
 
 SUMMARY = "summary.json"
-STEMS = _ROBOT, _EDGE, _LINK = ("telemetry", "edge", "link")
+_ROBOT, _EDGE, _LINK = "telemetry", "edge", "link"
+# Of all files of rows in the folder of a run. The robot writes its steps beside its ticks.
+STEMS = (_ROBOT, "steps", _EDGE, _LINK)
 # The recording's process is ended if it uses less than this share of a core for so long [s].
 _IDLE_SECONDS, _IDLE_SHARE = 30.0, 0.005
 # Only these columns are read: all columns of an hour do not fit into memory.

@@ -12,7 +12,14 @@ from remote_wbc import __version__, commands
 from shared.config.settings import RunConfig
 from shared.process.cli import Group, Parser, Subcommand, command_parser
 from shared.robots import load_robot
-from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, Source, tick_schema
+from shared.telemetry.schema import (
+    LINK_SCHEMA,
+    SOLVE_SCHEMA,
+    STEP_SCHEMA,
+    Schema,
+    Source,
+    tick_schema,
+)
 from shared.wire import channels, messages
 
 _HEAD = "---\nsearch: {boost: 0.7}\n---\n"
@@ -91,10 +98,11 @@ def columns_page() -> str:
         ("telemetry.parquet", "a row per tick of the robot", tick_schema(nq=model.nq, nv=model.nv)),
         ("link.parquet", "a row per message through the shim", LINK_SCHEMA),
         ("edge.parquet", "a row per state that the edge worked on", SOLVE_SCHEMA),
+        ("steps.parquet", "a row per footprint of a robot that steps by touch", STEP_SCHEMA),
     )
     lines = [
         "# Files and columns\n",
-        "A run leaves three tables beside its `summary.json`: see "
+        "A run leaves these tables beside its `summary.json`: see "
         "[runs](../running.md#what-a-run-leaves). `shared.telemetry.parquet.read_parquet` reads "
         "them, and so does every reader of Parquet. A vector is a fixed-size list. Widths are "
         "Romeo's.\n",

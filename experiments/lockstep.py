@@ -41,7 +41,7 @@ from shared.output.report import discrepancy_report, edge_report, link_report, m
 from shared.output.summary import summary
 from shared.robots import load_robot
 from shared.telemetry.row_log import RowLog
-from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA, Schema
 from shared.wire.channels import DOWNLINK, PLANS, UPLINK
 from shared.wire.codec import Codec
 from shared.wire.operator.commands import Command, EdgeCommand, LinkCommand, Reset
@@ -52,13 +52,17 @@ _RANK_DELIVERY, _RANK_EDGE, _RANK_MEASURE, _RANK_COMMAND = range(4)
 
 @dataclass(frozen=True)
 class TrialResult:
-    """The summary of a trial, its telemetry rows, and its commands with their times."""
+    """The summary of a trial, its telemetry rows, and its commands with their times.
+
+    Without steps by touch there are no `step_rows`.
+    """
 
     summary: dict[str, Any]
     schema: Schema
     rows: np.ndarray
     link_rows: np.ndarray
     solve_rows: np.ndarray
+    step_rows: np.ndarray
     events: tuple[CommandEvent, ...] = ()
 
 
@@ -94,7 +98,8 @@ class Lockstep:
         self._all_active_sets = all_active_sets
         self._unsolved: dict[int, bytes] = {}
         self.ticks = RowLog(self.robot.schema, complete=self.robot.tick_row.complete)
-        self._tick = Tick(self.robot, self.ticks.row)
+        self.steps = RowLog(STEP_SCHEMA)
+        self._tick = Tick(self.robot, self.ticks.row, self.steps)
         self.link = RowLog(LINK_SCHEMA)
         self.solves = RowLog(SOLVE_SCHEMA)
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
@@ -268,12 +273,13 @@ class Lockstep:
             rows=rows,
             link_rows=link_rows,
             solve_rows=solve_rows,
+            step_rows=self.steps.rows(),
             events=tuple(self.done),
         )
 
     def _reports(self, *, wall_seconds: float) -> tuple[dict[str, Any], ...]:
         """The reports of robot, edge and link, as a live run's processes write them."""
-        for log in (self.ticks, self.link, self.solves):
+        for log in (self.ticks, self.steps, self.link, self.solves):
             log.close()
         robot = robot_report(
             self.robot.schema,

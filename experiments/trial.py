@@ -18,7 +18,7 @@ from shared.output.summary import summary_in_words
 from shared.process.cli import EXIT_FELL, EXIT_STANDING
 from shared.process.run_options import add_run_arguments, config_from
 from shared.telemetry.parquet import write_parquet
-from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA
 from shared.wire.operator.events import EVENTS_FILE, CommandEvent, read_events, write_events
 
 # A shorter trial has no line of progress.
@@ -139,5 +139,7 @@ def write_run(out: Path, config: RunConfig, result: TrialResult) -> None:
     write_parquet(result.schema, result.rows, out / "telemetry.parquet")
     write_parquet(LINK_SCHEMA, result.link_rows, out / "link.parquet")
     write_parquet(SOLVE_SCHEMA, result.solve_rows, out / "edge.parquet")
+    if config.stepping.mode != "off":
+        write_parquet(STEP_SCHEMA, result.step_rows, out / "steps.parquet")
     if result.events:
         write_events(out / EVENTS_FILE, result.events)

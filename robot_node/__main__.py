@@ -38,7 +38,8 @@ from shared.process.service import (
     wait_while_held,
 )
 from shared.robots import load_robot
-from shared.wire.channels import DOWNLINK, PLANS, TICKS_KEY, UPLINK
+from shared.telemetry.schema import STEP_SCHEMA
+from shared.wire.channels import DOWNLINK, PLANS, STEPS_KEY, TICKS_KEY, UPLINK
 from shared.wire.operator.commands import RobotCommand
 
 _PRIORITY = 30
@@ -87,6 +88,9 @@ def main() -> int:
         key=TICKS_KEY.format(robot=robot.name),
         complete=node.tick_row.complete,
     )
+    steps = None
+    if node.clock is not None:
+        steps = log.beside("steps", STEP_SCHEMA, key=STEPS_KEY.format(robot=robot.name))
     inbox = Inbox()
     uplink = bus.publisher(UPLINK.key_for(me.robot))
     loop = LiveLoop(
@@ -95,6 +99,7 @@ def main() -> int:
         uplink=uplink,
         inbox=inbox,
         log=log.rows,
+        steps=steps,
         explain=lambda: preflight(arguments.connect, me.credentials),
         stays=arguments.stay,
     )

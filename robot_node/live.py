@@ -66,8 +66,8 @@ class LiveLoop:
 
     By Eq. (7) the robot waits d* for the answer to this tick's state. If the last answer took
     longer than d*, the robot does not wait, and commands at once. `explain` describes the endpoint
-    if no answer comes. With `stays`, a fall does not end the loop: simulated time stands still
-    until a reset.
+    if no answer comes. `steps` gets the rows of footprints. With `stays`, a fall does not end the
+    loop: simulated time stands still until a reset.
     """
 
     def __init__(
@@ -79,6 +79,7 @@ class LiveLoop:
         inbox: Inbox,
         log: RowLog,
         explain: Callable[[], str],
+        steps: RowLog | None = None,
         stays: bool = False,
     ) -> None:
         self.progress = Progress()
@@ -90,7 +91,7 @@ class LiveLoop:
         self._inbox = inbox
         self._plans = Inbox()
         self._log = log
-        self._tick = Tick(node, log.row)
+        self._tick = Tick(node, log.row, steps)
         self._explain = explain
         self._stays = stays
         self._between: list[_Between] = []

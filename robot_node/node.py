@@ -40,6 +40,7 @@ from robot_node.safety import JointHold, TorqueGuard, TorqueRateLimiter
 from robot_node.sensor_guard import SensorGuard
 from robot_node.sensors import Sensors
 from robot_node.sent_states import SentStates
+from robot_node.step_rows import StepRows
 from robot_node.stepping import ContactClock, Measured
 from robot_node.tick_row import Moment, TickRow
 from shared.bus.base import Delivery, RefusalCounter, SenderCounter, new_session
@@ -48,6 +49,7 @@ from shared.config.settings import RunConfig
 from shared.motion.ground import make_ground
 from shared.robots import Foot, Robot
 from shared.robots.fallen import has_fallen
+from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import Schema, Source, tick_schema
 from shared.wbc.contacts import ContactMode
 from shared.wbc.limits import Limits
@@ -98,6 +100,7 @@ class RobotNode:
         stacks = make_stacks(robot, config.wbc, Limits.of(robot, config))
         self._guard = TorqueGuard(robot, clamp=config.robot.torque_clamp)
         self.tick_row = TickRow(self.schema, self._model, stacks, torque_limit=self._guard.limit)
+        self._step_rows = StepRows(self._model)
         self._session = new_session() if session is None else session
         self.answers = SenderCounter()
         self._sent = SentStates(robot.model.nv - 6)
@@ -286,11 +289,13 @@ class RobotNode:
             self._stop_walking()
         return Command(self._bounded(safe, source), source, age_ns, decision)
 
-    def advance(self, command: Command, row: np.ndarray | None = None) -> None:
-        """End the tick: check for a fall, fill the telemetry row, and step the plant.
+    def advance(
+        self, command: Command, row: np.ndarray | None = None, steps: RowLog | None = None
+    ) -> None:
+        """End the tick: check for a fall, fill the telemetry rows, and step the plant.
 
         Before the first answer, and after a fall, the plant stands still. `row` is filled if it is
-        given.
+        given, and then `steps` gets the rows of footprints.
         """
         com, soles = self._model.com_and_soles(self._true_state[0])
         com_height = com[2] - self._ground.height(com[0], com[1])
@@ -301,7 +306,10 @@ class RobotNode:
         )
         push = self._push()
         if row is not None:
-            self.tick_row.fill(row, self._moment(command, com, soles, push), command)
+            moment = self._moment(command, com, soles, push)
+            self.tick_row.fill(row, moment, command)
+            if steps is not None and self.clock is not None:
+                self._step_rows.fill(steps, moment, self.clock)
         if not self.running and command.source is not Source.HELD:
             self.running = True
             self._sensors.restart()

@@ -111,6 +111,17 @@ class ContactClock:
         """The path of the swing foot; None on both feet."""
         return None if self._swing is None else self._swing.path
 
+    @property
+    def chosen(self) -> Footprint | None:
+        """The foothold that the law has chosen for the foot in the air; None without one."""
+        swing = self._swing
+        return None if swing is None or swing.cop is None else swing.path.goal
+
+    @property
+    def place(self) -> int:
+        """The number of the present phase in the plan; it counts on after the plan's last phase."""
+        return self._at
+
     def frozen(self, time_ns: int) -> bool:
         """Return whether the swing foot is so near its landing that its goal is fixed."""
         swing = self._swing

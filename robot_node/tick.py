@@ -14,16 +14,23 @@ import numpy as np
 from robot_node.controllers import Command
 from robot_node.node import RobotNode
 from shared.bus.base import Delivery
+from shared.telemetry.row_log import RowLog
 
 
 class Tick:
     """Plays the ticks of one robot. `next_row` gives the row of each tick; without it there are no
-    rows.
+    rows. `steps` gets the rows of footprints.
     """
 
-    def __init__(self, node: RobotNode, next_row: Callable[[], np.ndarray] | None = None) -> None:
+    def __init__(
+        self,
+        node: RobotNode,
+        next_row: Callable[[], np.ndarray] | None = None,
+        steps: RowLog | None = None,
+    ) -> None:
         self._node = node
         self._next_row = next_row
+        self._steps = steps
         self._cost_ns = 0
 
     def begin(self, now_ns: int) -> bytes:
@@ -63,5 +70,5 @@ class Tick:
             row[columns["tick_ns"]] = self._cost_ns + sending_ns
             row[columns["late_ns"]] = late_ns
             row[columns["overruns"]] = overruns
-        node.advance(command, row)
+        node.advance(command, row, self._steps)
         return command, any(taken)

@@ -4,6 +4,7 @@
     telemetry.parquet   the robot's rows
     link.parquet        the link's rows, if there
     edge.parquet        the edge's rows, if there
+    steps.parquet       the robot's footprints, if there
 
 The rows of a service that was killed, NAME.rows, become such a table first.
 
@@ -30,7 +31,7 @@ from shared.telemetry.parquet import parquet_chunks, parquet_shape, read_parquet
 from shared.telemetry.schema import Schema, tick_schema
 
 _FILES = ("config.toml", "telemetry.parquet")
-_OTHERS = ("link.parquet", "edge.parquet")
+_OTHERS = ("link.parquet", "edge.parquet", "steps.parquet")
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def read_run(path: Path) -> RunFolder:
             f"expected the folder of a run, as in runs/…, or as `wbc trial --out "
             f"DIR` writes it, got {path}"
         )
-    for stem in ("telemetry", "link", "edge"):
+    for stem in ("telemetry", "link", "edge", "steps"):
         with _reading(path / f"{stem}.rows"):
             recover(path, stem)
     missing = [name for name in _FILES if not (path / name).is_file()]

@@ -179,47 +179,62 @@ class ServiceLog:
         key: str,
         complete: Callable[[np.ndarray], None] | None = None,
     ) -> None:
-        self.name = name
         self._out = out
         self._temporary = tempfile.TemporaryDirectory(prefix="remote-wbc-")
         # The session of the telemetry, which never crosses the link; None without a hub.
         self.hub = ZenohBus(connect=[telemetry], mode="client") if telemetry else None
-        publish: Callable[[bytes], None] | None = None
-        if self.hub is not None:
-            publish = self.hub.publisher(key).publish
         if out is not None:
             try:
                 out.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise ConfigError(f"out: cannot create {out}: {error.strerror}") from None
         self._folder = out if out is not None else Path(self._temporary.name)
-        if out is not None:
-            begin_life(out, name)
+        self.name = name
+        self.rows = self._open(name, schema, key=key, complete=complete)
+        self._beside: dict[str, RowLog] = {}
+
+    def beside(self, name: str, schema: Schema, *, key: str) -> RowLog:
+        """Return another log of the service. It has its own file of rows and no report."""
+        self._beside[name] = self._open(name, schema, key=key)
+        return self._beside[name]
+
+    def _open(
+        self,
+        name: str,
+        schema: Schema,
+        *,
+        key: str,
+        complete: Callable[[np.ndarray], None] | None = None,
+    ) -> RowLog:
+        publish = None if self.hub is None else self.hub.publisher(key).publish
+        if self._out is not None:
+            begin_life(self._out, name)
         # Rows for which the file has no room are still published.
         path = self._folder / f"{name}.rows"
         with writing(path, what="out"):
-            self.rows = RowLog(
-                schema, path=path, publish=publish, at_most=MAX_ROWS, complete=complete
-            )
+            return RowLog(schema, path=path, publish=publish, at_most=MAX_ROWS, complete=complete)
 
     def row(self) -> np.ndarray:
         """Return the next row to fill."""
         return self.rows.row()
 
     def finish(self, report: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """End the log, write and return `report(rows)`, and write the rows as Parquet.
+        """End the logs, write and return `report(rows)`, and write all rows as Parquet.
 
         Print a line for files that cannot be written. Their rows stay in the file of rows.
         """
-        self.rows.close()
-        rows = self.rows.rows()
-        result = report(rows)
+        # Small files first.
+        logs = {**self._beside, self.name: self.rows}
+        for log in logs.values():
+            log.close()
+        result = report(self.rows.rows())
         if self._out is not None:
-            failure = self.rows.failure
+            failure = next((log.failure for log in logs.values() if log.failure), None)
             try:
-                rows = self._write_report(result, rows)
-                write_parquet(self.rows.schema, rows, self._out / f"{self.name}.parquet")
-                (self._out / f"{self.name}.rows").unlink()
+                self._write_report(result)
+                for name, log in logs.items():
+                    write_parquet(log.schema, log.rows(), self._out / f"{name}.parquet")
+                    (self._out / f"{name}.rows").unlink()
             except OSError as error:
                 failure = failure or error
             if failure is not None:
@@ -233,14 +248,12 @@ class ServiceLog:
         self._temporary.cleanup()
         return result
 
-    def _write_report(self, result: dict[str, Any], rows: np.ndarray) -> np.ndarray:
-        """Write the report; on a full disk, remove the last rows to make room. Return the rows."""
+    def _write_report(self, result: dict[str, Any]) -> None:
+        """Write the report; on a full disk, remove the last rows to make room."""
         assert self._out is not None
         path, text = self._out / f"{self.name}.json", json.dumps(result, indent=2) + "\n"
         try:
             path.write_text(text, encoding="utf-8")
         except OSError:
             self.rows.give_way(_ROOM_BYTES)
-            rows = self.rows.rows()
             path.write_text(text, encoding="utf-8")
-        return rows

@@ -1,4 +1,4 @@
-"""The columns of the robot's, the link's and the edge's rows."""
+"""The columns of the robot's, the link's and the edge's rows, and of the footprints."""
 
 from __future__ import annotations
 
@@ -27,6 +27,18 @@ class Source(enum.IntEnum):
     def label(self) -> str:
         """Its name in summaries, in the terminal and in the view."""
         return self.name.lower()
+
+
+class FootprintKind(enum.IntEnum):
+    """The kind of a footprint in the rows of a robot that steps by touch.
+
+    `PLANNED`: a footprint of the edge's plan. `CHOSEN`: the foothold that the step law has chosen
+    for the foot in the air. `LANDED`: the place of a sole that begins to bear.
+    """
+
+    PLANNED = 0
+    CHOSEN = 1
+    LANDED = 2
 
 
 @dataclass(frozen=True)
@@ -188,3 +200,30 @@ SOLVE_SCHEMA = Schema(
     ),
 )
 """A row per state that the edge worked on."""
+
+STEP_SCHEMA = Schema(
+    Column("wall_ns", kind="int64", unit="ns", help="robot's clock at the measurement"),
+    Column(
+        "time_ns",
+        kind="int64",
+        unit="ns",
+        help="time of the task; negative while the robot waits for the edge",
+    ),
+    Column(
+        "kind",
+        kind="int8",
+        help="0 planned by the edge, 1 chosen by the step law, 2 landed: a `FootprintKind`",
+    ),
+    Column("plan", kind="int64", help="number of the plan; −1 for a step of no plan"),
+    Column("place", kind="int64", help="phase of the plan, from 0; −1 for a step of no plan"),
+    Column("foot", kind="int8", help="0 left, 1 right"),
+    Column("position", 3, unit="m", help="origin of the sole's frame, in the world"),
+    Column("yaw", unit="rad", help="heading of the sole, in the world"),
+    Column("landing_ns", kind="int64", unit="ns", help="expected or actual landing, in task time"),
+)
+"""A row per footprint of a robot that steps by touch: planned, chosen, or landed.
+
+A plan gives a row for each of its footprints when the robot takes it. A row of another plan, or of
+none, voids the rest of a plan. A foothold that moves gives another row. The robot begins with a
+landed sole for each foot, of no plan.
+"""

@@ -26,5 +26,6 @@ PLANS = Channel(name="plans", key="wbc/{robot}/plan", rate_hz=50, max_bytes=4_00
 
 # Telemetry runs on a separate session and never crosses the link under test.
 TICKS_KEY = "telemetry/{robot}/ticks"
+STEPS_KEY = "telemetry/{robot}/steps"
 LINK_KEY = "telemetry/netem/link"
 SOLVES_KEY = "telemetry/edge/solves"

@@ -15,7 +15,7 @@ from shared.output.summary import summary_in_words
 from shared.telemetry.lives import begin_life
 from shared.telemetry.parquet import read_parquet, write_parquet
 from shared.telemetry.row_log import RowLog
-from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA, Schema, tick_schema
 
 TICKS = tick_schema(nq=38, nv=37)
 
@@ -125,6 +125,7 @@ def test_a_run_that_was_killed_as_a_whole_has_a_summary_from_its_rows(tmp_path: 
     killed_life(tmp_path, "telemetry", TICKS, 300, com_error_m=0.25)
     killed_life(tmp_path, "edge", SOLVE_SCHEMA, 20)
     killed_life(tmp_path, "link", LINK_SCHEMA, 20, achieved_ns=5e6)
+    killed_life(tmp_path, "steps", STEP_SCHEMA, 2)
     result = summarise(tmp_path, RunConfig(), print)
     assert result is not None
     assert result["fell"] is None
@@ -132,7 +133,8 @@ def test_a_run_that_was_killed_as_a_whole_has_a_summary_from_its_rows(tmp_path: 
     assert summary_in_words(result).startswith("Killed after 0.30 s of balance")
     assert json.loads((tmp_path / "summary.json").read_text())["task_seconds"] == 0.3
     left = {file.name for file in tmp_path.iterdir()}
-    assert left == {"summary.json", "telemetry.parquet", "edge.parquet", "link.parquet"}
+    tables = {f"{stem}.parquet" for stem in ("telemetry", "edge", "link", "steps")}
+    assert left == {"summary.json", *tables}
 
 
 def test_a_summary_that_cannot_be_written_is_returned_and_the_reports_stay(tmp_path: Path):

@@ -16,7 +16,7 @@ from docs.reference_pages import columns_page, commands_page, messages_page
 from remote_wbc import commands
 from shared.process.cli import Group
 from shared.process.entry import python
-from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, tick_schema
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA, tick_schema
 from tests.processes import ROOT
 
 PACKAGES = ("robot_node", "edge_node", "netem", "viewer", "deploy", "experiments")
@@ -179,7 +179,7 @@ def test_the_reference_has_every_command_and_its_options():
 
 def test_the_reference_has_every_column_with_its_meaning():
     page = columns_page()
-    for schema in (tick_schema(nq=38, nv=37), LINK_SCHEMA, SOLVE_SCHEMA):
+    for schema in (tick_schema(nq=38, nv=37), LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA):
         for column in schema.columns:
             assert column.help, column.name
             assert f"| `{column.name}` | " in page

@@ -9,6 +9,8 @@ import pytest
 from experiments.trial import add_trial_arguments, run_trial
 from shared.errors import ConfigError
 from shared.process.cli import Parser
+from shared.telemetry.parquet import parquet_shape
+from shared.telemetry.schema import STEP_SCHEMA
 
 SHORT = ("--duration", "0.02", "--push", "none", "--network", "constant:1ms")
 
@@ -48,3 +50,16 @@ def test_the_files_of_another_run_are_not_replaced(tmp_path):
     assert before == ((folder / "config.toml").read_bytes(), file.read_bytes())
     assert trial("--seed", "3", "--out", folder, "--json", file, "--force") == 0
     assert "seed = 3" in (folder / "config.toml").read_text()
+
+
+def test_only_a_trial_with_steps_by_touch_has_a_table_of_footprints(tmp_path):
+    settings = tmp_path / "stepping.toml"
+    settings.write_text('[wbc.balance]\nlaw = "dcm"\n')
+    assert trial("--config", settings, "--out", tmp_path / "timed") == 0
+    assert not (tmp_path / "timed" / "steps.parquet").exists()
+    stepping = ("--controller", "lc", "--stepping", "on")
+    assert trial("--config", settings, *stepping, "--out", tmp_path / "steps") == 0
+    schema, count = parquet_shape(tmp_path / "steps" / "steps.parquet")
+    assert schema.columns == STEP_SCHEMA.columns
+    # The feet as the robot begins.
+    assert count == 2

@@ -8,6 +8,7 @@ import pytest
 from experiments.lockstep import Lockstep
 from shared.config.config_file import load_config
 from shared.errors import ConfigError
+from shared.telemetry.schema import STEP_SCHEMA, FootprintKind
 from shared.wbc.contacts import ContactMode
 from tests.lockstep.test_pushes import ITS_LIMITS
 
@@ -40,6 +41,11 @@ def switches(result):
     return int(np.count_nonzero(np.diff(mode)))
 
 
+def footprints(result, kind):
+    """The rows of footprints of a kind."""
+    return result.step_rows[STEP_SCHEMA.column(result.step_rows, "kind") == kind]
+
+
 def test_without_a_push_the_robot_does_not_step():
     lockstep, result = play(**STEPS, push=[], duration=0.5)
     assert lockstep.robot.clock.phase == 0
@@ -60,6 +66,18 @@ def test_after_a_hard_push_the_robot_steps_and_stands(cut):
     assert not lockstep.robot.refused
     ahead = lockstep.robot.clock.feet.values()
     assert max(foot.x for foot in ahead) > 0.1
+    chosen, landed = (
+        footprints(result, each) for each in (FootprintKind.CHOSEN, FootprintKind.LANDED)
+    )
+    assert set(STEP_SCHEMA.column(chosen, "plan")) == {-1}
+    # The feet of the beginning, then the step; the foot lands where and when the law said last.
+    assert STEP_SCHEMA.column(landed, "time_ns")[:2].tolist() == [-1, -1]
+    of_step = chosen[
+        STEP_SCHEMA.column(chosen, "time_ns") < STEP_SCHEMA.column(landed, "time_ns")[2]
+    ]
+    for name, within in (("foot", 0), ("position", 0.03), ("landing_ns", 50e6)):
+        last, at = (STEP_SCHEMA.column(rows, name) for rows in (of_step[-1:], landed[2:3]))
+        np.testing.assert_allclose(last, at, rtol=0.0, atol=within)
 
 
 def test_a_walk_goes_by_plans_and_touch():
@@ -72,6 +90,19 @@ def test_a_walk_goes_by_plans_and_touch():
     # Two steps of 0.1 m and one that brings the feet together.
     assert left.x == pytest.approx(right.x, abs=0.06)
     assert (left.x + right.x) / 2 == pytest.approx(0.21, abs=0.06)
+    planned, landed = (
+        footprints(result, each) for each in (FootprintKind.PLANNED, FootprintKind.LANDED)
+    )
+    assert STEP_SCHEMA.column(landed, "foot").tolist() == [0, 1, 0, 1, 0]
+    # Every foot lands near its footprint in the plan that the robot had then.
+    where = STEP_SCHEMA.slices
+    for step in landed[2:]:
+        (goal,) = (
+            row
+            for row in planned
+            if all(row[where[name]] == step[where[name]] for name in ("plan", "place"))
+        )
+        np.testing.assert_allclose(step[where["position"]], goal[where["position"]], atol=0.04)
 
 
 def test_a_walk_goes_over_blocks_that_no_plan_knows():

@@ -52,6 +52,22 @@ def test_a_log_that_is_full_takes_no_more_rows(monkeypatch, tmp_path: Path):
     assert rows[:, 0].tolist() == [0.0, 1.0, 2.0]
 
 
+def test_a_service_may_have_another_log_beside_its_own(tmp_path: Path):
+    log = ServiceLog("robot", Schema(Column("n")), out=tmp_path, telemetry=None, key="k")
+    other = log.beside("steps", Schema(Column("n"), Column("m", 2)), key="l")
+    log.row()[0] = 1.0
+    other.row()[:] = 2.0
+    assert (tmp_path / "steps.rows").exists()
+    log.finish(lambda rows: {"rows": len(rows)})
+    assert read_parquet(tmp_path / "robot.parquet")[1].tolist() == [[1.0]]
+    assert read_parquet(tmp_path / "steps.parquet")[1].tolist() == [[2.0, 2.0, 2.0]]
+    assert {file.name for file in tmp_path.iterdir()} == {
+        "robot.json",
+        "robot.parquet",
+        "steps.parquet",
+    }
+
+
 def full_disk(monkeypatch: pytest.MonkeyPatch, name: str, *, times: int = 10**9) -> None:
     """Let writing of a file fail, the first times."""
     left = [times]

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from robot_node.node import RobotNode
+from robot_node.step_rows import StepRows
 from robot_node.stepping import ContactClock, Measured
+from shared.motion.plan_frame import PlanFrame
 from shared.motion.planned import Plan, PlannedPhase, PlanOrigin
 from shared.motion.stance import Stance
 from shared.motion.standing import Standing
 from shared.motion.step_law import make_step_law
 from shared.robots import Foot
+from shared.telemetry.row_log import RowLog
+from shared.telemetry.schema import STEP_SCHEMA, FootprintKind
 from shared.wbc.contacts import ContactMode
 from shared.wire.operator.commands import Reset
 
@@ -30,14 +36,33 @@ class Bench:
         self.force = dict.fromkeys(Foot, 200.0)
         self.disturbance = np.zeros(2)
         self.time_ns = 0
+        self.steps = RowLog(STEP_SCHEMA)
+        self.plan_frame = PlanFrame()
+        self._q = robot.q_standing
+        self._rows = StepRows(model)
 
     def run(self, ms):
         for _ in range(ms):
             forces = {foot: np.array([0.0, 0.0, force]) for foot, force in self.force.items()}
             measured = Measured(self._now, self.disturbance, forces)
             reference = self.clock.reference(measured, time_ns=self.time_ns)
+            self._rows.fill(self.steps, self._moment(), self.clock)
             self.time_ns += MS
         return reference
+
+    def _moment(self):
+        """As that of a task that began 7 ms before its plan."""
+        return SimpleNamespace(
+            time_ns=self.time_ns + 7 * MS,
+            wall_ns=self.time_ns,
+            plan_ns=self.time_ns,
+            plan_frame=self.plan_frame,
+            q=self._q,
+        )
+
+    def footprints(self, kind):
+        rows = self.steps.rows()
+        return rows[STEP_SCHEMA.column(rows, "kind") == kind]
 
 
 @pytest.fixture
@@ -168,3 +193,56 @@ def test_a_robot_that_begins_anew_has_neither_plan_nor_law(robot, config, motion
     assert node.clock.phase == 0
     assert node.clock.law is None
     assert node.refused["stale"] == 1
+
+
+def test_the_footprints_of_a_plan_are_rows_in_the_world_and_in_task_time(bench, plan):
+    """The plan's frame is 2 m to the left and turned by a quarter."""
+    bench.run(1)
+    bench.plan_frame = PlanFrame(0.0, 2.0, math.pi / 2)
+    bench.clock.take(plan)
+    bench.force[Foot.RIGHT] = 0.0
+    bench.run(450)
+    bench.force[Foot.RIGHT] = 60.0
+    bench.run(100)
+    goal = plan.phases[1].footprint
+    in_world = [-goal.y, 2.0 + goal.x, 0.0, math.pi / 2]
+    (row,) = bench.footprints(FootprintKind.PLANNED)
+    # On both feet for 100 ms from the begin of the plan, then 400 ms; the task is 7 ms older.
+    assert row.tolist() == pytest.approx([MS, 8 * MS, 0, 0, 1, 1, *in_world, 507 * MS])
+    assert not len(bench.footprints(FootprintKind.CHOSEN)), "there is no law"
+    # The soles of the beginning are of no plan. The foot lands where the robot has it.
+    landed = bench.footprints(FootprintKind.LANDED)
+    for name, values in (("plan", [-1, -1, 0]), ("place", [-1, -1, 1]), ("foot", [0, 1, 1])):
+        assert STEP_SCHEMA.column(landed, name).tolist() == values
+    right = STEP_SCHEMA.column(landed, "position")[1:]
+    np.testing.assert_allclose(right, 2 * [[goal.x - 0.1, goal.y, 0.0]], atol=1e-9)
+    assert STEP_SCHEMA.column(landed, "landing_ns")[2] == 458 * MS
+
+
+def test_a_foothold_gives_a_row_when_it_has_moved_by_more_than_5_mm(bench, robot):
+    bench.clock.law = make_step_law(robot, Stance.of(robot))
+    bench.disturbance[0] = 0.5
+    goals = []
+    for _ in range(150):
+        bench.run(1)
+        bench.disturbance[0] -= 0.004
+        if bench.clock.chosen is not None:
+            goals.append((bench.clock.chosen.x, bench.clock.chosen.y, bench.clock.chosen.z))
+    places = STEP_SCHEMA.column(bench.footprints(FootprintKind.CHOSEN), "position")
+    moved = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert 2 <= len(places) < len(set(goals))
+    assert moved.min() > 5e-3
+    assert math.dist(places[-1], goals[-1]) <= 5e-3
+    assert STEP_SCHEMA.column(bench.footprints(FootprintKind.CHOSEN), "plan").tolist() == [
+        -1.0
+    ] * len(places)
+
+
+def test_a_robot_that_begins_anew_stands_on_no_plan(bench, plan, robot, config):
+    bench.clock.take(plan)
+    bench.run(150)
+    bench.clock = ContactClock(robot, config)
+    bench.run(10)
+    rows = bench.steps.rows()
+    assert STEP_SCHEMA.column(rows, "kind").tolist() == [2, 2, 0, 2, 2]
+    assert STEP_SCHEMA.column(rows, "plan").tolist() == [-1, -1, 0, -1, -1]

@@ -22,7 +22,14 @@ from shared.telemetry.row_log import (
     read_rows,
     row_chunks,
 )
-from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Column, Schema, tick_schema
+from shared.telemetry.schema import (
+    LINK_SCHEMA,
+    SOLVE_SCHEMA,
+    STEP_SCHEMA,
+    Column,
+    Schema,
+    tick_schema,
+)
 from tests.processes import until
 
 SCHEMA = Schema(Column("tick", kind="int64"), Column("q", 3), Column("error"))
@@ -61,7 +68,7 @@ def test_a_scalar_column_is_flat_and_a_vector_is_not():
 
 
 def test_every_schema_names_its_columns_once():
-    for schema in (tick_schema(nq=38, nv=37), LINK_SCHEMA, SOLVE_SCHEMA):
+    for schema in (tick_schema(nq=38, nv=37), LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA):
         names = [column.name for column in schema.columns]
         assert len(set(names)) == len(names)
         assert schema.width == sum(column.width for column in schema.columns)
