@@ -24,6 +24,10 @@ FORCE: Colour = (64, 191, 128)
 PRESSURE: Colour = (178, 122, 240)
 SUPPORT: Colour = (250, 214, 80)
 PUSH: Colour = (190, 242, 60)
+CHOSEN: Colour = (240, 64, 214)
+"""The foothold that the step law has chosen."""
+LANDED: Colour = (138, 126, 104)
+"""A sole that has landed."""
 LEFT_FOOT: Colour = (244, 130, 176)
 RIGHT_FOOT: Colour = (72, 202, 228)
 

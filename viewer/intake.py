@@ -14,7 +14,7 @@ from collections.abc import Callable
 from shared.bus.endpoint import parse_endpoint
 from shared.bus.zenoh_bus import ZenohBus
 from shared.errors import LinkError
-from shared.wire.channels import LINK_KEY, SOLVES_KEY, TICKS_KEY
+from shared.wire.channels import LINK_KEY, SOLVES_KEY, STEPS_KEY, TICKS_KEY
 
 # The view yields to the control loops on the same machine.
 NICENESS = 10
@@ -71,5 +71,5 @@ def connect(endpoint: str, *, stopped: Callable[[], bool], timeout: float = 5.0)
 
 def subscribe(bus: ZenohBus, blocks: BlockQueue, *, robot: str) -> None:
     """Feed `blocks` with the rows of a robot, the link and the edge, while `bus` is open."""
-    for key in (TICKS_KEY.format(robot=robot), LINK_KEY, SOLVES_KEY):
-        bus.subscribe(key, lambda delivery: blocks.put(delivery.data))
+    for key in (TICKS_KEY, STEPS_KEY, LINK_KEY, SOLVES_KEY):
+        bus.subscribe(key.format(robot=robot), lambda delivery: blocks.put(delivery.data))

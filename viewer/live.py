@@ -17,7 +17,7 @@ import rerun as rr
 from shared.config.settings import RunConfig
 from shared.robots import Robot, load_robot
 from shared.telemetry.row_log import decode_rows
-from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA, Schema, tick_schema
 from shared.wire.operator.messages import VIEW_KEY
 from viewer.blueprint import layout
 from viewer.display import Display
@@ -104,7 +104,7 @@ class _Drawn:
         say: Callable[[str], None],
     ) -> None:
         ticks = tick_schema(nq=robot.model.nq, nv=robot.model.nv)
-        self._schemas = (ticks, LINK_SCHEMA, SOLVE_SCHEMA)
+        self._schemas = (ticks, LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA)
         self.rows = 0
         self.refused = 0
         self.missing = 0

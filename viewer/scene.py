@@ -17,7 +17,7 @@ from shared.config.settings import RunConfig
 from shared.errors import UserError
 from shared.robots import Robot
 from shared.telemetry.outages import OUTAGE, SILENT, Change, LinkLane
-from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
+from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA, Schema, tick_schema
 from viewer.meshes import LinkMesh
 from viewer.plots import (
     LANES,
@@ -77,13 +77,13 @@ class Scene:
         return self._verdict.text
 
     def log_rows(self, schema: Schema, rows: np.ndarray) -> None:
-        """Draw rows of any of the three kinds; raise `UserError` if they do not fit this robot."""
+        """Draw rows of any of the four kinds; raise `UserError` if they do not fit this robot."""
         columns = _columns(schema)
         if not len(rows):
             return
         if columns == self._tick_columns:
             self._log_ticks(schema, rows)
-        elif columns in (_columns(LINK_SCHEMA), _columns(SOLVE_SCHEMA)):
+        elif columns in (_columns(each) for each in (LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA)):
             self._waiting.append((schema, rows))
         else:
             raise UserError(_unexpected(columns, self._tick_columns, robot=self._robot.name))
@@ -170,6 +170,10 @@ class Scene:
 
     def _log_messages(self, schema: Schema, rows: np.ndarray) -> None:
         wall_ns = schema.column(rows, "wall_ns").astype(np.int64)
+        if "landing_ns" in schema.slices:
+            time_ns = schema.column(rows, "time_ns").astype(np.int64)
+            self._world.log_steps(rows, self._task_time.instants(wall_ns, time_ns))
+            return
         instants = self._task_time.from_wall(wall_ns)
         in_task = instants.task_ns >= 0
         rows, wall_ns, instants = rows[in_task], wall_ns[in_task], instants[in_task]
@@ -203,7 +207,7 @@ def _columns(schema: Schema) -> dict[str, int]:
 def _unexpected(columns: dict[str, int], expected: dict[str, int], *, robot: str) -> str:
     missing = [name for name in expected if name not in columns]
     if missing:
-        return f"telemetry: expected the columns of a robot, a link or an edge; missing {missing}"
+        return f"telemetry: expected columns of a robot, link, edge or step; missing {missing}"
     differing = [
         f"{name} ({width} instead of {expected[name]})"
         for name, width in columns.items()

@@ -19,7 +19,18 @@ from rerun.experimental import ViewerClient
 
 from shared.errors import UserError
 from viewer.blueprint import Picture
-from viewer.colours import COM, FORCE, LEFT_FOOT, LIMIT, PLAN, PRESSURE, PUSH, RIGHT_FOOT, SUPPORT
+from viewer.colours import (
+    CHOSEN,
+    COM,
+    FORCE,
+    LEFT_FOOT,
+    LIMIT,
+    PLAN,
+    PRESSURE,
+    PUSH,
+    RIGHT_FOOT,
+    SUPPORT,
+)
 from viewer.recorder import TIMELINE
 from viewer.recording import run_names, save
 from viewer.rerun_process import HOST, RerunProcess, free_port
@@ -124,12 +135,8 @@ def _duration(runs: Sequence[RunFolder]) -> float:
 
 def _palette(frame: Image.Image) -> Image.Image:
     """Return a palette: the colours of a frame, and of lines and arrows, bright and shaded."""
-    lines = [
-        round(shade * part)
-        for colour in (LIMIT, FORCE, PLAN, COM, SUPPORT, PRESSURE, PUSH, LEFT_FOOT, RIGHT_FOOT)
-        for shade in (1.0, 0.7)
-        for part in colour
-    ]
+    marks = (LIMIT, FORCE, PLAN, COM, SUPPORT, PRESSURE, PUSH, LEFT_FOOT, RIGHT_FOOT, CHOSEN)
+    lines = [round(shade * part) for colour in marks for shade in (1.0, 0.7) for part in colour]
     common = 256 - len(lines) // 3
     palette = Image.new("P", (1, 1))
     palette.putpalette((frame.quantize(common).getpalette() or [])[: 3 * common] + lines)

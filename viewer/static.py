@@ -11,14 +11,15 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from shared.motion.footprint import Footprint
 from shared.motion.ground import HOLE, Ground
 from shared.motion.swing import swing
 from shared.motion.walking import Walking
 from shared.robots import Foot, Robot
 from shared.wbc.reference import Motion
 from viewer.colours import (
+    CHOSEN,
     COM,
+    LANDED,
     LEFT_FOOT,
     LIMIT,
     LINE,
@@ -29,6 +30,7 @@ from viewer.colours import (
     SUPPORT,
     Colour,
 )
+from viewer.footholds import outline, sole_corners
 from viewer.meshes import LinkMesh
 from viewer.plots import LANES, LINKS, OVERRUN_PATH, SOLVE_SERIES, TICK_SERIES
 from viewer.recorder import Recorder
@@ -37,8 +39,6 @@ GHOST_COLOUR = (90, 160, 255, 64)
 # The ghost is smaller, so that it hides inside the robot where both are at the same place.
 GHOST_SCALE = 0.985
 _FOOT_COLOURS: dict[Foot, Colour] = {Foot.LEFT: LEFT_FOOT, Foot.RIGHT: RIGHT_FOOT}
-# Above the ground, which has a grid at zero, and below all moving parts [m].
-_PRINT_HEIGHT = 0.001
 _SWING_POINTS = 20
 _GROUND_COLOUR: Colour = (70, 74, 82)
 _FORBIDDEN_COLOUR: Colour = (110, 55, 55)
@@ -65,6 +65,9 @@ def log_styles(recorder: Recorder) -> None:
         "focus": rr.Points3D.from_fields(colors=[LINE], radii=[0.0005]),
         "com_plumb_line": rr.LineStrips3D.from_fields(colors=[own(COM)], radii=[0.004]),
         "centre_of_pressure": rr.Points3D.from_fields(colors=[own(PRESSURE)], radii=[0.014]),
+        "planned_soles": rr.LineStrips3D.from_fields(colors=[plan], radii=[0.003]),
+        "chosen_sole": rr.LineStrips3D.from_fields(colors=[own(CHOSEN)], radii=[0.006]),
+        "landed_soles": rr.LineStrips3D.from_fields(colors=[LANDED], radii=[0.002]),
         "support_polygon": rr.LineStrips3D.from_fields(colors=[own(SUPPORT)], radii=[0.004]),
     }
     for name, style in styles.items():
@@ -115,11 +118,11 @@ def log_footsteps(recorder: Recorder, robot: Robot, motion: Motion, *, swing_hei
     """Log the planned soles of a walk as outlines, and the swing foot's paths between them."""
     if not isinstance(motion, Walking):
         return
-    soles = {sole.side: sole.corners()[[0, 1, 3, 2, 0], :2] for sole in robot.soles}
+    soles = sole_corners(robot)
     first = motion.steps[0]
     prints = [first.support, first.start, *(step.goal for step in motion.steps)]
     outlines = rr.LineStrips3D(
-        [_outline(each, soles[each.foot]) for each in prints],
+        [outline(each, soles[each.foot]) for each in prints],
         colors=[_FOOT_COLOURS[each.foot] for each in prints],
         radii=[0.0025],
     )
@@ -138,11 +141,6 @@ def log_footsteps(recorder: Recorder, robot: Robot, motion: Motion, *, swing_hei
     track = recorder.track
     recorder.recording.log(track.world("footsteps"), outlines, static=True)
     recorder.recording.log(track.world("swing_paths"), paths, static=True)
-
-
-def _outline(footprint: Footprint, corners: np.ndarray) -> np.ndarray:
-    height = footprint.z + _PRINT_HEIGHT
-    return np.array([[*footprint.to_world((x, y)), height] for x, y in corners])
 
 
 def log_ground(recorder: Recorder, ground: Ground) -> None:

@@ -1,5 +1,7 @@
 """The scene in 3D: the robot, its ghost, contacts, CoM, pushes. Drawn at 50 Hz.
 
+Footprints are drawn when they change.
+
 A batch of rows costs one chunk per entity, so all joint placements share one entity, as named
 frames.
 """
@@ -16,10 +18,11 @@ from shared.motion.ground import make_ground
 from shared.motion.plan import make_motion
 from shared.motion.plan_frame import PlanFrame
 from shared.robots import Robot
-from shared.telemetry.schema import Schema, Source
+from shared.telemetry.schema import FootprintKind, Schema, Source
 from shared.wbc.contacts import ContactMode
 from viewer.camera import focus_height
 from viewer.colours import FORCE, LIMIT, SECOND_LINE
+from viewer.footholds import Footholds
 from viewer.ghost import Ghost
 from viewer.meshes import LinkMesh
 from viewer.pose import Frame, Placements, PoseModel, on_the_ground
@@ -36,6 +39,11 @@ MAX_FORCE = 320.0
 PUSH_CLEARANCE = 0.2
 # Flat marks are drawn this far above the ground, which has a grid at zero [m].
 ABOVE_GROUND = np.array([0.0, 0.0, 0.002])
+_SOLES = {
+    FootprintKind.PLANNED: "planned_soles",
+    FootprintKind.CHOSEN: "chosen_sole",
+    FootprintKind.LANDED: "landed_soles",
+}
 # A force is at its limit when it uses this part of its friction.
 AT_LIMIT = 0.99
 
@@ -52,8 +60,11 @@ class World:
         self._pose = PoseModel(robot, joints, friction=config.wbc.friction)
         motion = make_motion(robot, config)
         self._focus = focus_height(robot)
-        # Side by side, ghosts would hide the differences.
-        self._ghost = Ghost(robot, motion) if track.alone else None
+        self._footholds = Footholds(robot)
+        # Side by side, ghosts would hide the differences. A robot that steps by touch follows its
+        # contact clock, and not this motion.
+        follows = config.stepping.mode == "off"
+        self._ghost = Ghost(robot, motion) if track.alone and follows else None
         of_robot, of_ghost = (
             {joint: f"{track.root}/{what}/{robot.model.names[joint]}" for joint in joints}
             for what in ("robot", "ghost")
@@ -76,6 +87,19 @@ class World:
         self._log_contacts(frames, instants)
         self._log_com(schema, rows, frames, instants)
         self._log_push(schema.column(rows, "push_n"), frames, instants)
+
+    def log_steps(self, rows: np.ndarray, instants: Instants) -> None:
+        """Draw the soles after the rows of footprints of each tick."""
+        last = np.flatnonzero(np.append(np.diff(instants.wall_ns) != 0, True))
+        drawn = []
+        for of_tick in np.split(rows, last[:-1] + 1):
+            self._footholds.take(of_tick)
+            drawn.append(self._footholds.soles)
+        for kind, entity in _SOLES.items():
+            strips = [sole for soles in drawn for sole in soles[kind]]
+            columns = rr.LineStrips3D.columns(strips=strips)
+            counts = [len(soles[kind]) for soles in drawn]
+            self._send(entity, instants[last], columns.partition(counts))
 
     def _log_joints(
         self, entity: str, placements: list[Placements], names: list[str], instants: Instants

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from shared.robots import Robot
-from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, tick_schema
+from shared.telemetry.schema import (
+    LINK_SCHEMA,
+    SOLVE_SCHEMA,
+    STEP_SCHEMA,
+    FootprintKind,
+    Schema,
+    tick_schema,
+)
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 
@@ -77,3 +84,47 @@ def solve_rows(n: int, *, start: int = 0) -> tuple[Schema, np.ndarray]:
     rows[:, 1] = ticks
     rows[:, 2] = 9e5 + 3e5 * np.sin(ticks / 50.0)
     return SOLVE_SCHEMA, rows
+
+
+def step_row(
+    kind: FootprintKind,
+    *,
+    at: int,
+    foot: int,
+    x: float,
+    step: tuple[int, int] = (-1, -1),
+    z: float = 0.0,
+) -> np.ndarray:
+    """A footprint at a tick of the task, `x` ahead, of a `step`: a plan and the place in it."""
+    row = np.zeros(STEP_SCHEMA.width)
+    values: dict[str, float | tuple[float, ...]] = {
+        "wall_ns": WALL_START_NS + at * PERIOD_NS,
+        "time_ns": at * PERIOD_NS,
+        "kind": kind,
+        "plan": step[0],
+        "place": step[1],
+        "foot": foot,
+        "position": (x, 0.1 - 0.2 * foot, z),
+    }
+    for name, value in values.items():
+        row[STEP_SCHEMA.slices[name]] = value
+    return row
+
+
+def step_rows() -> tuple[Schema, np.ndarray]:
+    """A robot on its feet takes a plan of two steps, and another as its left foot has landed.
+
+    Then it steps as no plan says. Rows are at 0, 20, 40, 60, 80 and 100 ms.
+    """
+    planned, chosen, landed = FootprintKind
+    rows = [
+        step_row(landed, at=0, foot=0, x=0.0),
+        step_row(landed, at=0, foot=1, x=0.0),
+        step_row(planned, at=20, foot=0, x=0.1, step=(4, 1)),
+        step_row(planned, at=20, foot=1, x=0.2, step=(4, 3), z=0.06),
+        step_row(chosen, at=40, foot=0, x=0.15, step=(4, 1)),
+        step_row(landed, at=60, foot=0, x=0.14, step=(4, 1)),
+        step_row(planned, at=80, foot=1, x=0.3, step=(5, 1)),
+        step_row(chosen, at=100, foot=1, x=0.35),
+    ]
+    return STEP_SCHEMA, np.array(rows)

@@ -35,7 +35,7 @@ from shared.wire.operator.messages import EVENTS_KEY, ROBOT_COMMANDS_KEY, VIEW_K
 from shared.wire.operator.texts import parse_command
 from tests.processes import PATIENCE_SECONDS, Process, until
 from tests.telemetry_hub import is_heard
-from tests.viewer.synthetic import WALL_START_NS, link_rows, solve_rows, tick_rows
+from tests.viewer.synthetic import WALL_START_NS, link_rows, solve_rows, step_rows, tick_rows
 from viewer.meshes import load_meshes
 from viewer.page.feed import Feed
 from viewer.page.hulls import load_hulls, make_hulls
@@ -224,6 +224,23 @@ def test_a_state_has_the_newest_poses_numbers_and_outages(robot: Robot) -> None:
     assert end == 0.0, "the link is silent since"
 
 
+def test_a_state_has_the_soles_after_the_last_rows(robot: Robot) -> None:
+    schema, rows = step_rows()
+    soles = feed_of(robot, encode_rows(schema, rows[:5]))["soles"]
+    assert {kind: len(each) for kind, each in soles.items()} == {
+        "planned": 2,
+        "chosen": 1,
+        "landed": 2,
+    }
+    (chosen,) = soles["chosen"]
+    # A closed outline around the foothold, above the ground.
+    assert chosen[0] == chosen[4]
+    (low_x, low_y, height), (high_x, high_y, _) = np.min(chosen, axis=0), np.max(chosen, axis=0)
+    assert low_x < 0.15 < high_x
+    assert low_y < 0.1 < high_y
+    assert height == pytest.approx(4e-3)
+
+
 def test_a_push_stays_in_the_picture_for_a_while(robot: Robot) -> None:
     schema, rows = tick_rows(robot, 2000)
     feed = Feed(robot, RunConfig(), [1])
@@ -258,6 +275,7 @@ def test_a_state_before_the_first_row_has_all_that_the_page_reads(robot: Robot) 
     state = feed_of(robot)
     assert state["verdict"] == "waits for the edge"
     assert state["strip"]["ages"] == state["events"] == []
+    assert state["soles"] == {"planned": [], "chosen": [], "landed": []}
     assert state["strip"]["outages"] == state["strip"]["delays_ms"] == {}
 
 

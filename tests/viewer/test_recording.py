@@ -16,8 +16,8 @@ from shared.process.entry import python
 from shared.robots import Robot
 from shared.telemetry.parquet import write_parquet
 from tests.processes import played
-from tests.viewer.reading import entities, static
-from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
+from tests.viewer.reading import entities, logged, static
+from tests.viewer.synthetic import link_rows, solve_rows, step_rows, tick_rows
 from viewer.meshes import load_meshes
 from viewer.recording import record
 from viewer.run_folder import read_run
@@ -70,6 +70,16 @@ def test_a_run_without_a_link_or_an_edge_is_recorded_too(run: Path) -> None:
     (run / "link.parquet").unlink()
     (run / "edge.parquet").unlink()
     assert record(run).rows == 300
+
+
+def test_a_run_with_footprints_has_them_in_its_recording(run: Path) -> None:
+    write_parquet(*step_rows(), run / "steps.parquet")
+    recorded = record(run)
+    assert recorded.rows == 300 + 600 + 300 + 8
+    # Within the 250 ms of the task; before it the robot waits.
+    times, soles = logged(recorded.path, "/world/landed_soles", "LineStrips3D:strips")
+    assert times[-1] == 100_000_000
+    assert len(soles[-1]) == 3
 
 
 def test_the_rows_of_a_long_run_are_read_in_parts(run: Path) -> None:

@@ -13,8 +13,9 @@ from shared.errors import UserError
 from shared.robots import Robot
 from shared.telemetry.schema import Column, Schema, Source, tick_schema
 from tests.viewer.reading import entities, logged, static
-from tests.viewer.synthetic import link_rows, solve_rows, tick_rows
+from tests.viewer.synthetic import link_rows, solve_rows, step_rows, tick_rows
 from viewer.colours import FORCE, LIMIT
+from viewer.footholds import PRINT_HEIGHT
 from viewer.recording import new_recording
 from viewer.scene import Scene
 from viewer.track import Track
@@ -28,7 +29,7 @@ Rows = tuple[Schema, np.ndarray]
 def draw(robot: Robot, config: RunConfig, tmp_path: Path) -> Callable[..., Path]:
     """Draws batches of rows, in order, into a file."""
 
-    def build(*batches: Rows, finished: bool = False) -> Path:
+    def build(*batches: Rows, finished: bool = False, config: RunConfig = config) -> Path:
         path = tmp_path / "scene.rrd"
         recording = new_recording("test")
         recording.save(path)
@@ -269,3 +270,34 @@ def test_rows_of_another_robot_are_refused_by_name_and_width(
         draw((other, np.zeros((1, other.width))))
     with pytest.raises(UserError, match="missing"):
         draw((Schema(Column("temperature")), np.zeros((1, 1))))
+
+
+def test_a_plan_is_ahead_until_it_is_stepped_on_replaced_or_void(
+    robot: Robot, draw: Callable[..., Path]
+) -> None:
+    path = draw(step_rows(), tick_rows(robot, 130))
+    toe = robot.soles[0].corners()[:, 0].max()
+    ahead = []
+    for entity in ("planned_soles", "chosen_sole", "landed_soles"):
+        times, strips = logged(path, f"/world/{entity}", "LineStrips3D:strips")
+        np.testing.assert_array_equal(times, np.arange(6) * 20 * MILLISECOND)
+        fronts = [[max(x for x, _, _ in sole) - toe for sole in soles] for soles in strips]
+        ahead.append([[round(front, 3) for front in each] for each in fronts])
+    planned, chosen, landed = ahead
+    assert planned == [[], [0.1, 0.2], [0.1, 0.2], [0.2], [0.3], []]
+    assert chosen == [[], [], [0.15], [], [], [0.35]]
+    assert landed == 3 * [[0.0, 0.0]] + 3 * [[0.0, 0.0, 0.14]]
+    _, strips = logged(path, "/world/planned_soles", "LineStrips3D:strips")
+    heights = [sole[0][2] for sole in strips[1]]
+    np.testing.assert_allclose(heights, [PRINT_HEIGHT, 0.06 + PRINT_HEIGHT], atol=1e-6)
+
+
+def test_a_robot_that_steps_by_touch_has_no_ghost(
+    robot: Robot, draw: Callable[..., Path], configured: Callable[..., RunConfig]
+) -> None:
+    """The motion of its settings is a stand, wherever it walks."""
+    stepping = configured(**{"stepping.mode": "on", "wbc.balance.law": "dcm"})
+    assert "/world/ghost_joints" in entities(draw(tick_rows(robot, 20)))
+    drawn = entities(draw(tick_rows(robot, 20), config=stepping))
+    assert "/world/joints" in drawn
+    assert not [each for each in drawn if "ghost" in each]

@@ -17,10 +17,18 @@ from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
 from shared.robots import Robot
 from shared.telemetry.row_log import decode_rows
-from shared.telemetry.schema import LINK_SCHEMA, SOLVE_SCHEMA, Schema, Source, tick_schema
+from shared.telemetry.schema import (
+    LINK_SCHEMA,
+    SOLVE_SCHEMA,
+    STEP_SCHEMA,
+    Schema,
+    Source,
+    tick_schema,
+)
 from shared.wbc.contacts import ContactMode
 from shared.wire.operator.commands import Command, Drive
 from shared.wire.operator.messages import decode_event
+from viewer.footholds import Footholds
 from viewer.page.strip import Strip
 from viewer.pose import PoseModel
 from viewer.verdict import Verdict
@@ -42,6 +50,7 @@ class Feed:
         self._pose = PoseModel(robot, joints, friction=config.wbc.friction)
         self._verdict = Verdict(robot)
         self._strip = Strip()
+        self._footholds = Footholds(robot)
         self._push, self._pushed_ns = np.zeros(3), 0
         self._events: deque[str] = deque(maxlen=_MAX_EVENTS)
         self._last: Command | None = None
@@ -68,10 +77,20 @@ class Feed:
         """The newest state as JSON.
 
         `clock` is the robot's clock [s]. A pose has its time `at` on it, and for each joint the
-        position (3) [m] and the quaternion xyzw (4) in the world.
+        position (3) [m] and the quaternion xyzw (4) in the world. `soles` are outlines on the
+        ground by their kind: planned, chosen, landed.
         """
+        soles = {
+            kind.name.lower(): [np.round(each, _DIGITS).tolist() for each in outlines]
+            for kind, outlines in self._footholds.soles.items()
+        }
         return json.dumps(
-            {**self._state, "strip": self._strip.newest(), "events": list(self._events)},
+            {
+                **self._state,
+                "soles": soles,
+                "strip": self._strip.newest(),
+                "events": list(self._events),
+            },
             separators=(",", ":"),
         )
 
@@ -81,7 +100,9 @@ class Feed:
         for block in blocks:
             # After any error in a block, the page goes on with the next one.
             try:
-                schema, rows = decode_rows(block, self._ticks, LINK_SCHEMA, SOLVE_SCHEMA)
+                schema, rows = decode_rows(
+                    block, self._ticks, LINK_SCHEMA, SOLVE_SCHEMA, STEP_SCHEMA
+                )
                 if len(rows):
                     self._take(schema, rows)
                     changed = True
@@ -94,6 +115,8 @@ class Feed:
             self._take_ticks(rows)
         elif schema is LINK_SCHEMA:
             self._strip.take_link(schema, rows)
+        elif schema is STEP_SCHEMA:
+            self._footholds.take(rows)
 
     def _take_ticks(self, rows: np.ndarray) -> None:
         schema = self._ticks

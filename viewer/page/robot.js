@@ -60,7 +60,7 @@ export class RobotCanvas {
       return getComputedStyle(probe).color;
     };
     this.colours = Object.fromEntries(
-      ["ground", "grid", "robot", "com", "push", "limit", "text"].map((name) => [name, colour(name)]));
+      ["ground", "grid", "robot", "com", "push", "limit", "text", "plan", "chosen", "landed"].map((name) => [name, colour(name)]));
     this.body = this.colours.robot.match(/[\d.]+/g).slice(0, 3).map(Number);
     this.font = getComputedStyle(document.body).fontFamily;
     probe.remove();
@@ -76,6 +76,7 @@ export class RobotCanvas {
     context.fillStyle = this.colours.ground;
     context.fillRect(0, 0, width, height);
     this.drawGrid(context, com);
+    this.drawSoles(context, state.soles, ratio);
     this.drawHulls(context, joints);
     this.drawMarks(context, joints, state, ratio);
   }
@@ -95,6 +96,19 @@ export class RobotCanvas {
       }
     }
     context.stroke();
+  }
+
+  // Footprints of a robot that steps by touch: those that have landed are below the plan's.
+  drawSoles(context, soles, ratio) {
+    for (const [kind, width] of [["landed", 1.5], ["planned", 2], ["chosen", 4]]) {
+      context.strokeStyle = this.colours[kind === "planned" ? "plan" : kind];
+      context.lineWidth = width * ratio;
+      context.beginPath();
+      for (const outline of soles[kind]) {
+        for (let k = 1; k < outline.length; k++) this.line(context, outline[k - 1], outline[k]);
+      }
+      context.stroke();
+    }
   }
 
   line(context, from, to) {
