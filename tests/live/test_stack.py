@@ -20,9 +20,11 @@ from shared.config.settings import RobotConfig, RunConfig
 from shared.process.entry import python
 from shared.robots import load_robot
 from shared.telemetry.parquet import read_parquet
+from shared.telemetry.schema import STEP_SCHEMA
 from shared.wire.channels import DOWNLINK
 from tests.processes import ROOT, Process, descendants_naming, ended, until
 from tests.telemetry_hub import TelemetryHub, is_heard
+from tests.viewer.reading import logged
 
 pytestmark = pytest.mark.live
 
@@ -117,6 +119,24 @@ def test_up_walks_with_an_on_board_computer_beside_the_loop(start: Start, tmp_pa
     assert summary["on_board_qps"] > 4
     assert summary["active_set_discrepancy"]["mean"] is not None
     assert descendants_naming(str(out)) == []
+
+
+def test_up_records_the_footprints_of_a_robot_that_steps(start: Start, tmp_path: Path) -> None:
+    out, config = tmp_path / "run", tmp_path / "stepping.toml"
+    config.write_text('[wbc.balance]\nlaw = "dcm"\n')
+    up = start(
+        "deploy",
+        "up",
+        *("--controller", "lc", "--stepping", "on", "--config", str(config)),
+        *("--network", "constant:10ms", "--push", "none", "--duration", "1"),
+        *("--view", "off", "--out", str(out)),
+    )
+    assert up.wait() == 0, up.output
+    _, rows = read_parquet(out / "steps.parquet")
+    # The feet as the robot begins: it does not step.
+    assert STEP_SCHEMA.column(rows, "foot").tolist() == [0, 1]
+    (soles,) = logged(out / "recording.rrd", "/world/landed_soles", "LineStrips3D:strips")[1]
+    assert len(soles) == 2
 
 
 def test_up_walks_on_with_the_link_cut(start: Start, tmp_path: Path) -> None:

@@ -17,11 +17,11 @@ from shared.config.settings import RunConfig
 from shared.errors import LinkError, UserError
 from shared.robots import Robot
 from shared.telemetry.row_log import encode_rows
-from shared.wire.channels import LINK_KEY, TICKS_KEY
+from shared.wire.channels import LINK_KEY, STEPS_KEY, TICKS_KEY
 from tests.processes import PATIENCE_SECONDS, Process, until
 from tests.telemetry_hub import is_heard
 from tests.viewer.reading import logged
-from tests.viewer.synthetic import link_rows, tick_rows
+from tests.viewer.synthetic import link_rows, step_rows, tick_rows
 from viewer.blueprint import layout
 from viewer.display import Display
 from viewer.intake import BlockQueue, connect
@@ -87,6 +87,7 @@ def test_a_watched_run_is_recorded_and_ends_within_two_seconds_of_the_signal(
     hub = ZenohBus(listen=[endpoint], mode="router")
     ticks = hub.publisher(TICKS_KEY.format(robot=robot.name), wait_when_full=True)
     link = hub.publisher(LINK_KEY, wait_when_full=True)
+    steps = hub.publisher(STEPS_KEY.format(robot=robot.name), wait_when_full=True)
     viewer = Process(
         *("viewer", "live", "--config", str(tmp_path / "config.toml")),
         *("--telemetry", endpoint, "--view", "web", "--out", str(tmp_path)),
@@ -96,11 +97,13 @@ def test_a_watched_run_is_recorded_and_ends_within_two_seconds_of_the_signal(
         began = time.monotonic()
         assert viewer.wait_for("READY") == "READY in a browser, at the address below"
         assert viewer.wait_for("http").endswith("%2Fproxy"), "the address is alone on its line"
-        until(lambda: is_heard(ticks) and is_heard(link), "the viewer does not subscribe")
+        heard = (ticks, link, steps)
+        until(lambda: all(map(is_heard, heard)), "the viewer does not subscribe")
         loaded = time.monotonic() - began
         for k in range(5):
             ticks.publish(encode_rows(*tick_rows(robot, 100, start=100 * k)))
             link.publish(encode_rows(*link_rows(100, start=100 * k)))
+        steps.publish(encode_rows(*step_rows()))
         ticks.publish(b"not a block")
         viewer.wait_for("a block cannot be drawn")
         signalled = time.monotonic()
@@ -114,3 +117,5 @@ def test_a_watched_run_is_recorded_and_ends_within_two_seconds_of_the_signal(
     assert "0 blocks dropped when behind, 1 blocks refused" in viewer.output
     times, _ = logged(tmp_path / "recording.rrd", "/world/joints", "Transform3D:translation")
     np.testing.assert_array_equal(np.unique(times), np.arange(25) * 20_000_000)
+    times, _ = logged(tmp_path / "recording.rrd", "/world/planned_soles", "LineStrips3D:strips")
+    np.testing.assert_array_equal(times, np.arange(6) * 20_000_000)
