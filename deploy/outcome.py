@@ -40,7 +40,7 @@ from shared.wire.operator.events import EVENTS_FILE
 
 SUMMARY = "summary.json"
 _ROBOT, _EDGE, _LINK = "telemetry", "edge", "link"
-# Of all files of rows in the folder of a run. The robot writes its steps beside its ticks.
+# The stems of all files of rows. The robot writes its steps beside its ticks.
 STEMS = (_ROBOT, "steps", _EDGE, _LINK)
 # The recording's process is ended if it uses less than this share of a core for so long [s].
 _IDLE_SECONDS, _IDLE_SHARE = 30.0, 0.005

@@ -113,7 +113,7 @@ class ContactClock:
 
     @property
     def chosen(self) -> Footprint | None:
-        """The foothold that the law has chosen for the foot in the air; None without one."""
+        """The foothold that the law has chosen for the swing foot; None without one."""
         swing = self._swing
         return None if swing is None or swing.cop is None else swing.path.goal
 

@@ -16,7 +16,7 @@ from shared.telemetry.schema import STEP_SCHEMA, FootprintKind
 
 # Above the ground, which has a grid at zero, and below all moving parts [m].
 PRINT_HEIGHT = 0.001
-# Soles that have landed are shown for so many steps.
+# The most landed soles that are shown.
 MAX_LANDED = 40
 # The sole that the law has chosen is drawn over the planned one [m].
 _OVER_PLAN = np.array([0.0, 0.0, 0.003])

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from shared.motion.ground import FLAT, Ground
 from shared.robots import Foot, Robot
 from shared.robots.description import sole_frame_name
 from shared.wbc.balance import convex_hull
@@ -60,11 +61,14 @@ class PoseModel:
     `friction` is the μ that the robot's controller assumes.
     """
 
-    def __init__(self, robot: Robot, joints: Sequence[int], *, friction: float) -> None:
+    def __init__(
+        self, robot: Robot, joints: Sequence[int], *, friction: float, ground: Ground = FLAT
+    ) -> None:
         self._model = robot.model
         self._data = robot.model.createData()
         self._joints = tuple(joints)
         self._friction = friction
+        self._ground = ground
         self._soles = {foot: robot.model.getFrameId(sole_frame_name(foot)) for foot in Foot}
         self._corners = {sole.side: sole.corners(CORNER_MARGIN) for sole in robot.soles}
 
@@ -94,8 +98,8 @@ class PoseModel:
             contact_forces=contact_forces,
             friction_edges=np.vstack(edges),
             friction_used=np.concatenate(used),
-            centre_of_pressure=_centre_of_pressure(contact_points, contact_forces[:, 2]),
-            support_polygon=on_the_ground(closed_hull(contact_points[:, :2])),
+            centre_of_pressure=self._centre_of_pressure(contact_points, contact_forces[:, 2]),
+            support_polygon=on_the_ground(closed_hull(contact_points[:, :2]), self._ground),
         )
 
     def _friction_used(self, forces: np.ndarray) -> np.ndarray:
@@ -105,18 +109,17 @@ class PoseModel:
         carrying = np.linalg.norm(forces, axis=1) > CARRYING
         return np.where(carrying, tangential / np.maximum(allowed, 1e-9), 0.0)
 
+    def _centre_of_pressure(self, points: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        total = normal.sum()
+        if total < CARRYING:
+            return np.full(3, np.nan)
+        centre: np.ndarray = on_the_ground((normal @ points / total)[None], self._ground)[0]
+        return centre
 
-def _centre_of_pressure(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    total = normal.sum()
-    if total < CARRYING:
-        return np.full(3, np.nan)
-    centre: np.ndarray = on_the_ground((normal @ points / total)[None])[0]
-    return centre
 
-
-def on_the_ground(points: np.ndarray) -> np.ndarray:
+def on_the_ground(points: np.ndarray, ground: Ground) -> np.ndarray:
     """Return points (n, 2 or 3) moved along z to the ground, shape (n, 3)."""
-    return np.column_stack([points[:, :2], np.zeros(len(points))])
+    return np.column_stack([points[:, :2], ground.heights(points)])
 
 
 def closed_hull(points: np.ndarray) -> np.ndarray:

@@ -57,7 +57,8 @@ class World:
         self._recorder = recorder
         track = recorder.track
         joints = sorted({1, *(mesh.joint for mesh in meshes)})
-        self._pose = PoseModel(robot, joints, friction=config.wbc.friction)
+        self._ground = make_ground(config.plant_ground, seed=config.seed)
+        self._pose = PoseModel(robot, joints, friction=config.wbc.friction, ground=self._ground)
         motion = make_motion(robot, config)
         self._focus = focus_height(robot)
         self._footholds = Footholds(robot)
@@ -75,7 +76,7 @@ class World:
         if self._ghost is not None:
             log_robot(recorder, meshes, of_ghost, ghost=True)
             log_footsteps(recorder, robot, motion, swing_height=config.walk.swing_height)
-        log_ground(recorder, make_ground(config.plant_ground, seed=config.seed))
+        log_ground(recorder, self._ground)
 
     def log(self, schema: Schema, rows: np.ndarray, instants: Instants) -> None:
         """Draw each of these rows of the robot."""
@@ -164,10 +165,11 @@ class World:
         focus = np.column_stack([com[:, :2], np.full(len(com), self._focus)])
         self._send("focus", instants, rr.Points3D.columns(positions=focus))
         for name, points in (("com", com), ("com_reference", reference)):
-            pairs = np.stack([points, on_the_ground(points) + ABOVE_GROUND], axis=1)
+            below = on_the_ground(points, self._ground)
+            pairs = np.stack([points, below + ABOVE_GROUND], axis=1)
             columns = rr.Points3D.columns(positions=pairs.reshape(-1, 3))
             self._send(name, instants, columns.partition([2] * len(rows)))
-        plumb_lines = np.stack([com, on_the_ground(com)], axis=1)
+        plumb_lines = np.stack([com, on_the_ground(com, self._ground)], axis=1)
         self._send("com_plumb_line", instants, rr.LineStrips3D.columns(strips=plumb_lines))
         centres = np.array([frame.centre_of_pressure for frame in frames])
         known = np.isfinite(centres).all(axis=1)

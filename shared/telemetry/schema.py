@@ -33,7 +33,7 @@ class FootprintKind(enum.IntEnum):
     """The kind of a footprint in the rows of a robot that steps by touch.
 
     `PLANNED`: a footprint of the edge's plan. `CHOSEN`: the foothold that the step law has chosen
-    for the foot in the air. `LANDED`: the place of a sole that begins to bear.
+    for the swing foot. `LANDED`: the place of a sole that begins to bear.
     """
 
     PLANNED = 0

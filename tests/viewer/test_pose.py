@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from shared.motion.ground import Ground, Patch
 from shared.robots import Robot
 from shared.wbc.contacts import CORNER_MARGIN, ContactMode
 from viewer.pose import PoseModel, closed_hull
@@ -97,6 +98,18 @@ def test_the_support_polygon_lies_on_the_ground_around_all_contact_points(
             frame.contact_points[:, 0] - start[0]
         )
         assert (outside >= -EXACT).all()
+
+
+def test_on_a_stair_the_polygon_and_the_centre_of_pressure_are_on_it(robot: Robot) -> None:
+    stair = Ground((Patch((-1.0, 1.0), (-1.0, 1.0), 0.06),))
+    pose = PoseModel(robot, [1], friction=FRICTION, ground=stair)
+    f = np.tile((0.0, 0.0, 50.0), 8)
+    q = robot.q_standing.copy()
+    q[2] += 0.06
+    frame = pose.frame(q, f, ContactMode.DOUBLE_SUPPORT)
+    np.testing.assert_array_equal(frame.support_polygon[:, 2], 0.06)
+    np.testing.assert_allclose(frame.contact_points[:, 2], 0.06, atol=1e-6)
+    assert frame.centre_of_pressure[2] == 0.06
 
 
 def test_the_hull_leaves_inner_and_repeated_points_out() -> None:
