@@ -37,6 +37,9 @@ _AVERAGE = 0.03
 _SETTLING = 0.6
 # Part of a swing before which a force on the foot is that of lifting off.
 _MAY_LAND = 0.5
+# A sole that is higher above its goal [m], or less level (the cosine of its tilt), has hit an edge
+# and has not landed.
+_HIGHEST, _LEVEL = 0.08, 0.92
 # A foot that has just landed does not step again within this time [s]; the other one may.
 _SAME_FOOT = 0.25
 # The longest wait of a planned step [s] for a DCM that is further than this from its planned place
@@ -148,7 +151,7 @@ class ContactClock:
         now, time = measured.kinematics, time_ns * 1e-9
         self._observe(now)
         dcm = now.com[:2] + now.com_velocity[:2] / self._omega
-        if self._swing is not None and self._touches(measured.forces, time):
+        if self._swing is not None and self._touches(now, measured.forces, time):
             self._land(dcm, time)
         if decides and time_ns >= self._next_ns:
             self._next_ns = time_ns + self._config.period_ns
@@ -179,11 +182,15 @@ class ContactClock:
                 print_.z + share * (z - print_.z),
             )
 
-    def _touches(self, forces: dict[Foot, np.ndarray], time: float) -> bool:
+    def _touches(self, now: Kinematics, forces: dict[Foot, np.ndarray], time: float) -> bool:
         swing = self._swing
         assert swing is not None
         may_land = time - swing.begin >= _MAY_LAND * (swing.path.end - swing.begin)
-        return may_land and bool(forces[swing.foot][2] >= self._config.landing_force)
+        if not may_land or forces[swing.foot][2] < self._config.landing_force:
+            return False
+        placement = now.sole_placement(swing.foot)
+        above = float(placement.translation[2]) - swing.path.goal.z
+        return above <= _HIGHEST and bool(placement.rotation[2, 2] >= _LEVEL)
 
     def _land(self, dcm: np.ndarray, time: float) -> None:
         swing = self._swing

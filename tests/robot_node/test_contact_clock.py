@@ -7,6 +7,7 @@ import math
 from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from robot_node.node import RobotNode
@@ -132,6 +133,30 @@ def test_a_foot_that_lands_early_bears_at_once(bench, plan):
     assert bench.run(150).mode is LEFT
     assert bench.run(80).mode is DOUBLE
     assert bench.clock.phase == 2
+
+
+@pytest.mark.parametrize(("height", "lands"), [(0.05, True), (0.1, False)])
+def test_a_foot_that_hits_an_edge_far_above_its_goal_has_not_landed(bench, plan, height, lands):
+    step = plan.phases[1]
+    lower = dataclasses.replace(step.footprint, z=step.footprint.z - height)
+    step = dataclasses.replace(step, footprint=lower)
+    bench.clock.take(dataclasses.replace(plan, phases=(plan.phases[0], step, plan.phases[2])))
+    bench.run(110)
+    bench.force[Foot.RIGHT] = 60.0
+    assert bench.run(300).mode is (DOUBLE if lands else LEFT)
+
+
+def test_a_foot_that_hits_an_edge_with_its_toe_has_not_landed(bench, plan, robot, model):
+    bench.clock.take(plan)
+    bench.run(110)
+    q = robot.q_standing.copy()
+    toe_down = pin.Quaternion(pin.rpy.rpyToMatrix(0.0, 0.6, 0.0)).coeffs()
+    q[3:7] = toe_down
+    q[2] -= model.sole_placements(q)[Foot.RIGHT].translation[2]
+    bench._now = model.kinematics(q, np.zeros(robot.model.nv))
+    assert bench._now.sole_placement(Foot.RIGHT).translation[2] == pytest.approx(0.0, abs=1e-9)
+    bench.force[Foot.RIGHT] = 60.0
+    assert bench.run(300).mode is LEFT
 
 
 def test_a_foot_that_lands_late_goes_on_down(bench, plan):
