@@ -55,14 +55,19 @@ def summarise(
     *,
     services: dict[str, Any] | None = None,
     neighbours: Neighbours | None = None,
+    failure: str | None = None,
 ) -> dict[str, Any] | None:
     """Return the summary, and write it to `summary.json` in place of the services' reports.
 
-    `services` is the supervisor's part, `neighbours` the other work on this machine, None
-    if it is unknown. Rows of killed lives become Parquet. `say` gets a line for
-    a file that cannot be written. Return None if the robot left neither a report nor rows.
+    `services` is the supervisor's part, `neighbours` the other work on this machine, None if it is
+    unknown. `failure` tells which service has ended the run by its failure: such a run is no
+    result. Rows of killed lives become Parquet. `say` gets a line for a file that cannot be
+    written. Return None if the robot left neither a report nor rows.
     """
     result = _summary(run, config, services or {}, neighbours or Neighbours())
+    if result is not None and failure is not None:
+        reasons = [failure, *result["invalid_reasons"]]
+        result |= {"valid": False, "invalid_reasons": reasons}
     if result is not None:
         text = json.dumps(result, indent=2)
         try:

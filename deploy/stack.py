@@ -179,7 +179,9 @@ class StackRun:
             # Events of the last rows, which have come since the robot ended.
             for event in self._status.take_events():
                 self._terminal.say(event.name, event.text)
-            outcome = self._sum_up()
+            # The error goes on with the other services, and the log.
+            ended = None if failure is None else str(failure).partition(":")[0]
+            outcome = self._sum_up(ended)
             hub.close()
             if failure is not None:
                 raise failure
@@ -434,8 +436,11 @@ class StackRun:
         )
         self._folder.write(self._state)
 
-    def _sum_up(self) -> str:
-        """Print the summary of the run, and return its first line; empty if there is none."""
+    def _sum_up(self, failure: str | None) -> str:
+        """Print the summary of the run, and return its first line; empty if there is none.
+
+        `failure` tells which service has ended the run by its failure.
+        """
         again = [service for service in self._supervisor.states() if service.restarts]
         result = summarise(
             self._out,
@@ -449,6 +454,7 @@ class StackRun:
                 for service in again
             },
             neighbours=self._neighbours,
+            failure=failure,
         )
         if result is None:
             return ""

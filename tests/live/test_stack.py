@@ -222,6 +222,10 @@ def test_death_of_a_service_ends_the_run_with_its_name(start: Start, tmp_path: P
     os.kill(victim[0], signal.SIGKILL)
     assert up.wait() == 2, up.output
     assert "error: netem ended (signal 9)" in up.output
+    assert "NO RESULT about the link: netem ended (signal 9)" in up.output
+    result = json.loads((out / "summary.json").read_text())
+    assert result["valid"] is False
+    assert result["invalid_reasons"][0] == "netem ended (signal 9)"
     assert descendants_naming(str(out)) == []
 
 
