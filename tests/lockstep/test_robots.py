@@ -36,6 +36,22 @@ def test_it_takes_a_push_and_comes_back(play, name):
 
 
 @each_robot
+def test_it_stands_an_outage_without_a_push(play, name):
+    """A projector of 0.2 s ago fells iCub, and one of 0.27 s ago G1: they hold their joints first."""
+    result = play(
+        push=[],
+        duration=1.0,
+        controller="la",
+        **{
+            "robot.name": name,
+            "link.network": "constant:10ms",
+            "link.outage": ["400ms@200ms"],
+        },
+    )
+    assert not result.summary["fell"]
+
+
+@each_robot
 def test_it_walks_to_where_the_plan_ends(play, name):
     controller, network = LC
     result = play(
