@@ -37,7 +37,7 @@ def test_it_takes_a_push_and_comes_back(play, name):
 
 @each_robot
 def test_it_stands_an_outage_without_a_push(play, name):
-    """A projector of 0.2 s ago fells iCub, and one of 0.27 s ago G1: they hold their joints first."""
+    """A projector of 0.2 s ago fells iCub, one of 0.27 s ago G1: both hold their joints first."""
     result = play(
         push=[],
         duration=1.0,
