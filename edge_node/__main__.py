@@ -19,6 +19,7 @@ from shared.bus.base import Inbox, sender_name
 from shared.bus.operator import CommandServer, RobotTimes
 from shared.bus.security import EDGE
 from shared.bus.zenoh_bus import ZenohBus
+from shared.clock import ScaledClock
 from shared.commands import python_module
 from shared.errors import ConfigError
 from shared.motion.plan import make_motion
@@ -103,8 +104,9 @@ def main() -> int:
         bus.subscribe(UPLINK.key_for(name), inbox.put)
     downlinks = {name: bus.publisher(DOWNLINK.key_for(name)) for name in served}
     plan_keys = {name: bus.publisher(PLANS.key_for(name)) for name in served}
+    clock = ScaledClock()
     if log.hub is not None:
-        _serve_commands(log.hub, node, served, script)
+        clock = _serve_commands(log.hub, node, served, script)
     suspend_garbage_collection()
     where = arguments.connect or arguments.listen
     names = ", ".join(f"{name} as {sender_name(downlinks[name].session)}" for name in served)
@@ -139,7 +141,7 @@ def main() -> int:
         if answer.data is not None:
             downlinks[answer.robot].publish(answer.data)
         solve_ns = time.monotonic_ns() - started_ns
-        answer.record(log.row(), wall_ns=started_ns, solve_ns=solve_ns)
+        answer.record(log.row(), wall_ns=clock.at(started_ns), solve_ns=solve_ns)
     report = log.finish(
         lambda rows: edge_report(
             rows,
@@ -171,8 +173,8 @@ def _share(text: str) -> float:
 
 def _serve_commands(
     hub: ZenohBus, node: EdgeNode, robots: tuple[str, ...], script: Sequence[CommandEvent]
-) -> None:
-    """Carry out an operator's and a script's commands to walk."""
+) -> ScaledClock:
+    """Carry out an operator's and a script's commands to walk. Return the robot's clock."""
     times = RobotTimes(hub, lambda text: print(text, flush=True))
 
     def carry_out(command: Command) -> Accepted:
@@ -187,6 +189,7 @@ def _serve_commands(
 
     CommandServer(hub, EDGE_COMMANDS_KEY, carry_out)
     times.play(script, carry_out)
+    return times.clock
 
 
 if __name__ == "__main__":

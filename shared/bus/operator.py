@@ -94,7 +94,8 @@ def play_script(
 class RobotTimes:
     """Answers and publishes the commands of a process beside the robot, by the robot's clock.
 
-    `say` prints a line for each. `on_clock` gets each reading of the clock.
+    `say` prints a line for each. `on_clock` gets each reading of the clock. `clock` is the robot's:
+    it runs slower, or stands still, when the robot's does.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class RobotTimes:
     ) -> None:
         self._say = say
         self._on_clock = on_clock
-        self._clock = ScaledClock()
+        self.clock = ScaledClock()
         self._read = threading.Condition()
         self._reading: ClockReading | None = None
         # The time of the task at the first reading.
@@ -121,7 +122,7 @@ class RobotTimes:
         Without `tell`, no line is printed.
         """
         if now_ns is None:
-            now_ns = self._clock.now_ns()
+            now_ns = self.clock.now_ns()
         event = CommandEvent(
             0 if self._reading is None else self._reading.tick_from(now_ns), command
         )
@@ -152,9 +153,9 @@ class RobotTimes:
 
     def _wait_ns(self, time_ns: int) -> float:
         """Return the real time until a time of the task [ns]; infinite while the task is paused."""
-        reading, speed = self._reading, self._clock.speed
+        reading, speed = self._reading, self.clock.speed
         assert reading is not None
-        left_ns = time_ns - reading.task_ns - (self._clock.now_ns() - reading.now_ns)
+        left_ns = time_ns - reading.task_ns - (self.clock.now_ns() - reading.now_ns)
         if left_ns <= 0:
             return 0.0
         return left_ns / speed if speed > 0.0 else math.inf
@@ -165,7 +166,7 @@ class RobotTimes:
             with self._read:
                 if self._reading is None:
                     self._begun_ns = reading.task_ns
-                self._clock.origin, self._reading = reading.origin, reading
+                self.clock.origin, self._reading = reading.origin, reading
                 self._read.notify_all()
             self._on_clock(reading)
 

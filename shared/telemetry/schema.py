@@ -188,7 +188,12 @@ LINK_SCHEMA = Schema(
 """A row per message through the shim."""
 
 SOLVE_SCHEMA = Schema(
-    Column("wall_ns", kind="int64", unit="ns", help="edge's clock at the solve"),
+    Column(
+        "wall_ns",
+        kind="int64",
+        unit="ns",
+        help="robot's clock at the solve; that of an edge elsewhere",
+    ),
     Column("state_sequence", kind="int64", help="tick of the state"),
     Column("solve_ns", kind="int64", unit="ns", help="duration of the solve"),
     Column("status", kind="int8", help="index in `shared.wbc.qp.QpStatus`"),

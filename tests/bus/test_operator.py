@@ -132,6 +132,8 @@ def test_a_script_follows_the_robots_clock_and_is_not_played_twice() -> None:
     tell(3_500_000_000)
     until(lambda: len(done) == 2, "a command does not come at its time")
     assert done == [("link restore", 3_400_000_000), ("link cut", 3_500_000_000)]
+    # The robot's clock stands still, and so do the times of this process's rows.
+    assert times.clock.at(10**18) == 5_000
     tell(9_000_000_000)
     until(lambda: len(done) == 3, "the last command does not come")
 
