@@ -65,10 +65,10 @@ def summarise(
     written. Return None if the robot left neither a report nor rows.
     """
     result = _summary(run, config, services or {}, neighbours or Neighbours())
-    if result is not None and failure is not None:
-        reasons = [failure, *result["invalid_reasons"]]
-        result |= {"valid": False, "invalid_reasons": reasons}
     if result is not None:
+        if failure is not None:
+            reasons = [failure, *result["invalid_reasons"]]
+            result |= {"valid": False, "invalid_reasons": reasons}
         text = json.dumps(result, indent=2)
         try:
             (run / SUMMARY).write_text(text + "\n", encoding="utf-8")

@@ -116,6 +116,8 @@ class StackRun:
         self._supervisor = Supervisor(run.out, self._say, changed=self._publish)
         self._watched = run.plan.has(VIEWER)
         self._neighbours = Neighbours()
+        # The service that has ended the run by its failure, and how.
+        self._failure: str | None = None
         self._look_at = 0.0
         # In the background: whether the terminal of the parent process is released.
         self._let_go = False
@@ -179,9 +181,7 @@ class StackRun:
             # Events of the last rows, which have come since the robot ended.
             for event in self._status.take_events():
                 self._terminal.say(event.name, event.text)
-            # The error goes on with the other services, and the log.
-            ended = None if failure is None else str(failure).partition(":")[0]
-            outcome = self._sum_up(ended)
+            outcome = self._sum_up()
             hub.close()
             if failure is not None:
                 raise failure
@@ -373,7 +373,8 @@ class StackRun:
         if service.end == OUTCOME and code in (EXIT_STANDING, EXIT_FELL, EXIT_INTERRUPTED):
             await self._linger()
             return code
-        text = f"{service.name} ended ({exit_in_words(code)}): all services were stopped; "
+        self._failure = f"{service.name} ended ({exit_in_words(code)})"
+        text = f"{self._failure}: all services were stopped; "
         text += f"its log is {self._out / service.name}.log"
         if code > 0:
             # A service that ends by an error prints it in its last line.
@@ -436,11 +437,8 @@ class StackRun:
         )
         self._folder.write(self._state)
 
-    def _sum_up(self, failure: str | None) -> str:
-        """Print the summary of the run, and return its first line; empty if there is none.
-
-        `failure` tells which service has ended the run by its failure.
-        """
+    def _sum_up(self) -> str:
+        """Print the summary of the run, and return its first line; empty if there is none."""
         again = [service for service in self._supervisor.states() if service.restarts]
         result = summarise(
             self._out,
@@ -454,7 +452,7 @@ class StackRun:
                 for service in again
             },
             neighbours=self._neighbours,
-            failure=failure,
+            failure=self._failure,
         )
         if result is None:
             return ""

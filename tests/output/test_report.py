@@ -61,26 +61,8 @@ def test_a_summary_says_who_answered_and_which_sensors_failed():
     assert "sensor faults held over: LKnee 4 ×" in text
 
 
-@pytest.mark.parametrize(
-    ("cores", "line"), [(1.24, "other processes took 1.2 of this machine's 2 cores"), (0.1, None)]
-)
-def test_the_work_of_others_on_the_machine_is_told(cores, line):
-    told = summary(
-        RunConfig(),
-        robot=robot_part(ticks(10)),
-        edge=None,
-        link=None,
-        discrepancy=None,
-        machine=Machine(2, other_cores=cores),
-    )
-    assert told["machine"]["other_cores"] == cores
-    text = summary_in_words(told)
-    assert f"with LA over factory/001\n  {line}\n" in text if line else "other proc" not in text
-
-
-def test_the_effect_of_others_on_the_machine_is_told():
-    machine = Machine(2, 0, {"p50": 8.7}, other_cores=0.6, stalls_s={"shim": 0.01, "edge": 0.057})
-    told = summary(
+def summary_on(machine):
+    return summary(
         RunConfig(),
         robot=robot_part(ticks(10)),
         edge=None,
@@ -88,6 +70,21 @@ def test_the_effect_of_others_on_the_machine_is_told():
         discrepancy=None,
         machine=machine,
     )
+
+
+@pytest.mark.parametrize(
+    ("cores", "line"), [(1.24, "other processes took 1.2 of this machine's 2 cores"), (0.1, None)]
+)
+def test_the_work_of_others_on_the_machine_is_told(cores, line):
+    told = summary_on(Machine(2, other_cores=cores))
+    assert told["machine"]["other_cores"] == cores
+    text = summary_in_words(told)
+    assert f"with LA over factory/001\n  {line}\n" in text if line else "other proc" not in text
+
+
+def test_the_effect_of_others_on_the_machine_is_told():
+    machine = Machine(2, 0, {"p50": 8.7}, other_cores=0.6, stalls_s={"shim": 0.01, "edge": 0.057})
+    told = summary_on(machine)
     assert (
         "with LA over factory/001\n"
         "  other processes took 0.6 of this machine's 2 cores; an answer left the edge 9 ms after "
