@@ -127,14 +127,17 @@ class MujocoPlant:
     def contact_forces(self) -> dict[Foot, np.ndarray]:
         """Forces of the ground on the soles, as in `Plant`: those of the last step."""
         forces = {foot: np.zeros(3) for foot in Foot}
-        wrench = np.zeros(6)
-        for k, contact in enumerate(self.data.contact):
-            foot = self._soles.get(contact.geom2)
-            if contact.geom1 not in self._ground or foot is None:
+        wrench = np.empty(6)
+        # Read as arrays: a contact as an object costs many times as much.
+        contacts = self.data.contact
+        frames = contacts.frame.reshape(-1, 3, 3)
+        for k, (ground, sole) in enumerate(contacts.geom.tolist()):
+            foot = self._soles.get(sole)
+            if foot is None or ground not in self._ground:
                 continue
             mujoco.mj_contactForce(self.model, self.data, k, wrench)
             # From the first body on the second, in the contact's frame, whose axes are rows.
-            forces[foot] += contact.frame.reshape(3, 3).T @ wrench[:3]
+            forces[foot] += wrench[:3].dot(frames[k])
         return forces
 
     def _driven(self, tau: np.ndarray, fastest: np.ndarray) -> np.ndarray:

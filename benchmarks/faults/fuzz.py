@@ -36,10 +36,7 @@ WALK: Parameters = {
     "walk.begin_duration": 0.5,
     "walk.step_duration": 0.5,
     "stepping.mode": "on",
-    "wbc.balance.law": "dcm",
-    "wbc.limits.torque": True,
-    "wbc.limits.position": True,
-    "wbc.weights.swing_foot": 3.0,
+    "correction.on_board_budget": 0.0,
     "plant.joint_limits": True,
     "plant.leg_collision": True,
 }

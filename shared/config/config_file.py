@@ -96,11 +96,15 @@ def _names_in(table: dict[str, Any]) -> tuple[str, str] | None:
 
 
 def _defaults(table: dict[str, Any]) -> dict[str, Any]:
-    """Return the defaults that the task, and then the robot, of `table` change."""
+    """Return the defaults that the task, then the robot, then steps by touch of `table` change."""
     if (names := _names_in(table)) is None:
         return {}
     task, robot = names
-    return _merged(_PRESETS.get(task, {}), description_of(robot).settings.get(task, {}))
+    defaults = _merged(_PRESETS.get(task, {}), description_of(robot).settings.get(task, {}))
+    stepping = table.get("stepping", {})
+    if isinstance(stepping, dict) and stepping.get("mode", "off") != "off":
+        defaults = _merged(defaults, _STEPS)
+    return defaults
 
 
 def _check_robots_settings(table: dict[str, Any]) -> None:
@@ -147,6 +151,16 @@ _GO: dict[str, Any] = {
     "walk": {"step_length": 0.35, "swing_height": 0.07, "com_lowering": 0.03},
 }
 _PRESETS: dict[str, dict[str, Any]] = {"walk": _WALK, "go": _merged(_WALK, _GO)}
+# The defaults that steps by touch change, for every task and robot. With a lower weight of the CoM,
+# a stale factorisation trades the CoM against the posture of standing.
+_STEPS: dict[str, Any] = {
+    "wbc": {
+        "weights": {"com": 100.0, "swing_foot": 10.0},
+        "limits": {"torque": True, "position": True},
+        "balance": {"law": "dcm"},
+    },
+    "correction": {"on_board_budget": 0.3},
+}
 
 
 def dump_config(config: RunConfig, *, versions: dict[str, str]) -> str:

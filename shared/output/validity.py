@@ -80,8 +80,9 @@ def stalls_s(
     """Return the longest time of the task in which each part of this machine stood still [s].
 
     `uplink`: no state of the robot came to the shim. `end`: none was released until the end of the
-    run, beyond the longest delay so far. `shim`: a message waited longer than its delay. `edge`: no
-    answer left to a state or to a newer one; not without `solve_rows`.
+    run, beyond the longest delay so far. `shim`: a message waited longer than its delay, and not
+    behind those of an outage. `edge`: while states came, no answer left to one or to a newer one;
+    not without `solve_rows`.
     """
     rows = in_task(schema, rows)
     if len(link_rows) >= MAX_ROWS:
@@ -106,15 +107,49 @@ def stalls_s(
         "uplink": max(len(run) for run in runs) * 1e-3,
         "end": max(0.0, later * 1e-3 - nominal_ns[up].max(initial=0.0) * 1e-9),
     }
-    soon = of_task & passed & (nominal_ns <= nominal_ns[passed].min(initial=np.inf) + OUTAGE_NS)
-    found["shim"] = float((achieved_ns - nominal_ns)[soon].max(initial=0.0)) * 1e-9
+    waited = passed & (nominal_ns > nominal_ns[passed].min(initial=np.inf) + OUTAGE_NS)
+    late_ns = (achieved_ns - nominal_ns)[
+        of_task & passed & ~waited & ~_behind(waited, direction, sent_ns, achieved_ns)
+    ]
+    found["shim"] = float(late_ns.max(initial=0.0)) * 1e-9
     if solve_rows is not None:
         order = np.argsort(sequence[up & passed], kind="stable")
         arrival_ns = (sent_ns + nominal_ns)[up & passed][order]
         left_ns = _left_ns(sequence[up & passed][order], solve_rows)
-        waited_ns = np.minimum(left_ns, wall_ns[-1]) - arrival_ns
-        found["edge"] = float(waited_ns.max(initial=0.0)) * 1e-9
+        # After the last state the edge has nothing to answer.
+        left_ns[np.isinf(left_ns)] = arrival_ns.max(initial=0.0)
+        stood_ns = np.minimum(left_ns, wall_ns[-1]) - arrival_ns
+        stood_ns -= _silence_ns(arrival_ns, until_ns=left_ns)
+        found["edge"] = float(stood_ns.max(initial=0.0)) * 1e-9
     return {part: round(seconds, 4) for part, seconds in found.items()}
+
+
+def _behind(
+    waited: np.ndarray, direction: np.ndarray, sent_ns: np.ndarray, achieved_ns: np.ndarray
+) -> np.ndarray:
+    """Return which messages were sent before the release of an earlier one that had `waited`."""
+    behind = np.zeros(len(waited), dtype=bool)
+    for way in range(len(DIRECTIONS)):
+        of_way = np.flatnonzero(direction == way)
+        order = of_way[np.argsort(sent_ns[of_way], kind="stable")]
+        released_ns = np.where(waited, sent_ns + achieved_ns, 0.0)[order]
+        behind[order] = sent_ns[order] < np.maximum.accumulate(released_ns)
+    return behind
+
+
+def _silence_ns(arrival_ns: np.ndarray, *, until_ns: np.ndarray) -> np.ndarray:
+    """Return for how long no state came between each arrival and its `until_ns`.
+
+    Only pauses longer than an outage count: the edge of LC has nothing to answer in them.
+    """
+    arrived_ns = np.sort(arrival_ns)
+    pauses_ns = np.diff(arrived_ns, prepend=arrived_ns[:1])
+    silent_ns = np.append(0.0, np.cumsum(np.where(pauses_ns > OUTAGE_NS, pauses_ns, 0.0)))
+    begin, end = (
+        np.searchsorted(arrived_ns, each, side="right") for each in (arrival_ns, until_ns)
+    )
+    found: np.ndarray = silent_ns[end] - silent_ns[begin]
+    return found
 
 
 def _left_ns(sequence: np.ndarray, solve_rows: np.ndarray) -> np.ndarray:

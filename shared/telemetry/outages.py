@@ -8,7 +8,7 @@ the previous arrival if that is later, until its arrival no message comes out of
 A constant delay of any length is no outage, and neither is a sender's pause. If a sender is
 `steady`, a lost message should have come out too. Then `sent` is the time of the first message sent
 after the previous arrival, lost or not. `LinkLane.silent` finds a link that was cut, by the lack of
-messages.
+messages, and `LinkLane.lasting` by the losses, before it passes a message again.
 """
 
 from __future__ import annotations
@@ -34,12 +34,15 @@ class LinkLane:
         self._least_ns = np.iinfo(np.int64).max
         # When the first message that was lost since the last arrival was sent.
         self._lost_ns: int | None = None
+        self._newest_lost_ns = 0
         self._silent: str | None = None
 
     def add(self, sent_ns: np.ndarray, delay_ns: np.ndarray) -> list[Change]:
         """Return the changes that messages show; a negative delay is a lost message."""
         owed_ns = self._owed(sent_ns, delay_ns) if self._steady else sent_ns
         passed = delay_ns >= 0
+        if not passed.all():
+            self._newest_lost_ns = int(sent_ns[~passed].max())
         owed_ns, sent_ns, delay_ns = owed_ns[passed], sent_ns[passed], delay_ns[passed]
         if not len(sent_ns):
             return []
@@ -69,6 +72,19 @@ class LinkLane:
             return []
         self._silent = state
         return [(last, state)]
+
+    def lasting(self) -> list[Change]:
+        """Return the change to an outage of a steady sender that lost messages show while it lasts;
+        once per outage.
+        """
+        last, lost_ns = self.last_arrival_ns, self._lost_ns
+        if last is None or lost_ns is None or self._silent is not None:
+            return []
+        begin_ns = max(last, lost_ns + int(self._least_ns))
+        if self._newest_lost_ns - begin_ns <= self._longer_than_ns:
+            return []
+        self._silent = OUTAGE
+        return [(begin_ns, OUTAGE)]
 
     def _owed(self, sent_ns: np.ndarray, delay_ns: np.ndarray) -> np.ndarray:
         """Return when the first message after the previous arrival was sent, lost or not [ns],

@@ -473,13 +473,13 @@ def test_a_byte_order_mark_before_a_settings_file_does_not_matter(tmp_path):
     assert read_toml(path, what="settings") == {"seed": 3}
 
 
-STEPPING = {"stepping.mode": "on", "wbc.balance.law": "dcm"}
+STEPPING = {"stepping.mode": "on"}
 
 
 @pytest.mark.parametrize(
     ("asked", "error"),
     [
-        ({"stepping.mode": "on"}, "expected wbc"),
+        ({**STEPPING, "wbc.balance.law": "com"}, "expected wbc"),
         ({**STEPPING, "plant.kind": "rigid"}, "expected mujoco"),
         ({**STEPPING, "task": "balance", "ground": "stairs:3x6cm"}, "expected flat"),
     ],
@@ -489,7 +489,20 @@ def test_a_robot_that_cannot_step_as_asked_is_refused(asked, error):
         load_config(None, asked)
 
 
+def test_steps_change_the_defaults_of_a_robot_and_a_file_and_flags_those_of_steps(tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text('stepping.mode = "on"\nwbc.weights.com = 50.0\n')
+    config = load_config(file, {"wbc.limits.position": False})
+    assert config.wbc.balance.law == "dcm"
+    assert (config.wbc.weights.com, config.wbc.weights.swing_foot) == (50.0, 10.0)
+    assert (config.wbc.limits.torque, config.wbc.limits.position) == (True, False)
+    assert config.correction.on_board_budget == 0.3
+    assert load_config(None, {"stepping.mode": "off"}) == load_config(None)
+
+
 def test_both_ends_must_agree_on_steps():
     on = load_config(None, STEPPING)
-    assert on.digest != load_config(None, {"wbc.balance.law": "dcm"}).digest
+    as_on = {"limits": {"torque": True, "position": True}, "balance": {"law": "dcm"}}
+    settings = {**as_on, "weights": {"com": 100.0, "swing_foot": 10.0}}
+    assert on.digest != load_config(None, {"wbc": settings}).digest
     assert load_config(None, {**STEPPING, "stepping.ahead": 0.1}).digest != on.digest

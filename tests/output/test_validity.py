@@ -215,6 +215,40 @@ def test_an_outage_of_the_link_is_no_standstill() -> None:
     ]
 
 
+def test_an_edge_that_answers_seldom_does_not_stand_still_in_an_outage() -> None:
+    answered = ALL[(ALL % 100 == 0) & ((ALL < 300) | (ALL >= 700))]
+    # The states of the outage are lost, or all arrive at its end.
+    for nominal_ms, achieved_ms in ((5 + 0 * ALL, -1), (705 - ALL, 705 - ALL)):
+        link = link_of(ALL)
+        out = (ALL >= 300) & (ALL < 700)
+        link[:, LINK_SCHEMA.slices["nominal_ns"]] = (np.where(out, nominal_ms, 5) * MS)[:, None]
+        achieved_ns = np.where(out, achieved_ms, 5) * MS
+        link[:, LINK_SCHEMA.slices["achieved_ns"]] = achieved_ns[:, None]
+        found = stalls_s(TICKS, a_task(1000), link, solves_of(answered))
+        # State 201 came 99 ms before the outage.
+        assert found["edge"] == pytest.approx(0.1, abs=0.01)
+        assert found["shim"] == 0.0
+    # The link is cut until the end.
+    link = link_of(ALL)
+    link[300:, LINK_SCHEMA.slices["achieved_ns"]] = -1
+    cut = stalls_s(TICKS, a_task(1000), link, solves_of(answered[answered < 300]))
+    assert cut["edge"] == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_message_behind_those_of_an_outage_does_not_make_the_shim_stand_still() -> None:
+    # At the end of an outage, at 705 ms, the shim releases ten messages a millisecond.
+    link = link_of(ALL)
+    out = (ALL >= 300) & (ALL < 700)
+    nominal_ms = np.where(out, 705 - ALL, 5)
+    released_ms = np.maximum(ALL + nominal_ms, np.where(ALL >= 300, 705 + (ALL - 300) / 10, 0))
+    link[:, LINK_SCHEMA.slices["nominal_ns"]] = (nominal_ms * MS)[:, None]
+    link[:, LINK_SCHEMA.slices["achieved_ns"]] = ((released_ms - ALL) * MS)[:, None]
+    assert stalls_s(TICKS, a_task(1000), link, None)["shim"] < 0.005
+    # A message that was sent after the last of them has no excuse.
+    link[980, LINK_SCHEMA.slices["achieved_ns"]] = 305 * MS
+    assert stalls_s(TICKS, a_task(1000), link, None)["shim"] == pytest.approx(0.3)
+
+
 def test_the_edge_of_lc_answers_seldom() -> None:
     stalled = Machine(2, stalls_s={"edge": 0.4})
     assert reasons(stalled, "lc") == []

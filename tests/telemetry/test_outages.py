@@ -90,3 +90,25 @@ def test_a_silence_is_told_once_and_ends_with_the_next_message() -> None:
     assert lane.silent(300, OUTAGE, patience_ns=200) == [(5, OUTAGE)]
     assert lane.silent(400, OUTAGE, patience_ns=200) == []
     assert lane.add(np.array([500]), np.array([5])) == [(505, PASSING)]
+
+
+def test_an_outage_that_loses_messages_is_known_while_it_lasts() -> None:
+    lane = LinkLane(steady=True)
+    sent, delay = np.arange(400), np.full(400, 5)
+    delay[100:300] = -1
+    told, changes = [], []
+    for k in np.array_split(np.arange(400), 40):
+        changes += lane.add(sent[k] * MILLISECOND, delay[k] * MILLISECOND)
+        told += [(int(k[-1]), at_ns // MILLISECOND, state) for at_ns, state in lane.lasting()]
+    assert told == [(159, 105, OUTAGE)]
+    assert [(at_ns // MILLISECOND, state) for at_ns, state in changes[1:]] == [(305, PASSING)]
+
+
+def test_messages_under_way_when_others_are_lost_are_no_outage() -> None:
+    """At a delay of 500 ms the link still passes messages for 500 ms after a cut."""
+    lane = LinkLane(steady=True)
+    lane.add(np.arange(1) * MILLISECOND, np.full(1, 500 * MILLISECOND))
+    lane.add(np.arange(300, 800) * MILLISECOND, np.full(500, -1))
+    assert lane.lasting() == []
+    lane.add(np.arange(800, 900) * MILLISECOND, np.full(100, -1))
+    assert lane.lasting() == [(800 * MILLISECOND, OUTAGE)]

@@ -3,7 +3,7 @@
 import {CAMERAS, RobotCanvas} from "./robot.js";
 
 const DELAY = 0.12;           // the picture is this far behind the newest pose [s]
-const PERIOD = 1000 / 31;     // at most 30 pictures a second
+const FASTEST = 1000 / 31, SLOWEST = 1000 / 13;  // between two pictures [ms]
 const SPAN = 20;              // of the strip [s]
 const ANSWERS = 2;
 const TRY_AGAIN = 1000;
@@ -13,7 +13,7 @@ const at = (id) => document.getElementById(id);
 const robot = await (await fetch("robot.json")).json();
 const scene = new RobotCanvas(at("robot"), robot);
 let socket, state = null, poses = [], shown = null, before = 0, drawn = 0, counted = performance.now();
-let stripIsNew = false, unanswered = 0;
+let period = FASTEST, stripIsNew = false, unanswered = 0;
 
 at("title").textContent = robot.words.join(" · ");
 document.title = robot.words.join(" · ");
@@ -108,7 +108,7 @@ function pose(seconds) {
 
 function frame(now) {
   requestAnimationFrame(frame);
-  if (now - before < PERIOD) return;
+  if (now - before < period) return;
   const seconds = Math.min(0.2, (now - before) / 1000);
   before = now;
   if (stripIsNew) { stripIsNew = false; drawStrip(state.strip); }
@@ -119,9 +119,17 @@ function frame(now) {
     const rate = drawn * 1000 / (now - counted);
     at("rate").textContent = `${rate.toFixed(0)} pictures/s`;
     document.body.dataset.rate = rate.toFixed(1);
+    keepUp(rate);
     drawn = 0;
     counted = now;
   }
+}
+
+// A browser that cannot draw as fast as asked has no time left for commands and news.
+function keepUp(rate) {
+  const part = rate * period / 1000;
+  if (part < 0.7) period = Math.min(SLOWEST, 1.5 * period);
+  else if (part > 0.9) period = Math.max(FASTEST, period / 1.1);
 }
 
 function drawStrip(strip) {

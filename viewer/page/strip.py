@@ -58,7 +58,7 @@ class Strip:
                 continue
             took_ns = schema.column(way, "achieved_ns").astype(np.int64)
             sent_ns = schema.column(way, "wall_ns").astype(np.int64)
-            self._change(direction, lane.add(sent_ns, took_ns))
+            self._change(direction, lane.add(sent_ns, took_ns) + lane.lasting())
             last_ns = int(took_ns[-1])
             self._delays_ms[direction] = round(last_ns * 1e-6, 2) if last_ns >= 0 else None
 
