@@ -18,6 +18,7 @@ COMMANDS = (
     Subcommand(
         "faults", "play faults and check the promises about them", "benchmarks.faults.campaign"
     ),
+    Subcommand("flood", "effect of a flood of commands on the robot", "benchmarks.commands"),
     Subcommand("floor", "lower bound of the time of a tick in Python", "benchmarks.commands"),
     Subcommand("limits", "cost of the robot's own limits in a tick", "benchmarks.commands"),
     Subcommand("lockstep", "speed of a trial", "benchmarks.commands"),

@@ -9,6 +9,7 @@ from benchmarks import (
     against,
     capacity,
     core,
+    flood,
     floor,
     limits,
     lockstep,
@@ -186,6 +187,25 @@ def run_session(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--minutes: expected 0.1 to 600, got {arguments.minutes:g}")
     exit_at_termination()
     print(session.run(seed=arguments.seed, minutes=arguments.minutes, folder=arguments.out))
+    return EXIT_STANDING
+
+
+def add_flood_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--rounds", type=int, default=15, help="number of rounds (default %(default)s)"
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=2.0, help="duration of a span [s] (default %(default)g)"
+    )
+
+
+def run_flood(arguments: argparse.Namespace) -> int:
+    if arguments.rounds < 2:
+        raise ConfigError(f"--rounds: expected at least 2, got {arguments.rounds}")
+    if not 0.5 <= arguments.seconds <= 60.0:
+        raise ConfigError(f"--seconds: expected 0.5 to 60, got {arguments.seconds:g}")
+    exit_at_termination()
+    print(flood.run(rounds=arguments.rounds, seconds=arguments.seconds))
     return EXIT_STANDING
 
 
