@@ -226,7 +226,7 @@ class LocallyAssisted(Controller):
         if self.balance is not None:
             self.com_command = self.balance.com_command(now, reference, self._wrenches)
             reference = dataclasses.replace(reference, com_command=self.com_command)
-        self._b = self._stack.right_hand_side(now, reference)
+        self._b = self._stack.right_hand_side(now, reference, with_limits=False)
 
     def command(self, *, time_ns: int) -> Decision | None:
         model, stack = self._model, self._stack

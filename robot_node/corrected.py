@@ -201,7 +201,11 @@ class LocallyCorrected(Controller):
     def _within_clamp(self, tau: np.ndarray) -> bool:
         """Return whether the clamp leaves all torques as they are, or no correction would help."""
         limits = self._stack.limits
-        return limits is None or self._uncorrected or bool((np.abs(tau) <= limits.clamp).all())
+        if limits is None or self._uncorrected:
+            return True
+        beyond = np.abs(tau)
+        beyond -= limits.clamp
+        return bool(beyond[beyond.argmax()] <= 0.0)
 
     def _source(self, entry: CorrectorEntry) -> Source:
         if self._uncorrected:

@@ -43,16 +43,24 @@ def apply_projector(
     q: np.ndarray,
     v: np.ndarray,
 ) -> Assisted:
-    """The solution for b, which is that of (q, v). `stack` is that of the projector's mode."""
+    """The solution for b, which is that of (q, v). `stack` is that of the projector's mode.
+
+    Entries of b after the layout's rows, those of limits, are not used.
+    """
     y = projector.apply(b)
     force = recover_force(model, stack.contacts, q, v, y)
     limits, opened = stack.limits, projector.open
     if limits is None or opened is None:
         return Assisted(y, force, projector.active_set)
-    n_a = stack.layout.n_accelerations
-    misses = limits.misses(b[stack.layout.n_rows :], force, y[:n_a])[opened.limits]
-    lacks = stack.contacts.l - stack.contacts.C.dot(y[n_a:])
-    if max(lacks.max(), misses.max(initial=0.0)) <= 0.0:
+    contacts, a, f = stack.contacts, y[: model.nv], y[model.nv :]
+    lacks = contacts.C.dot(f)
+    np.subtract(contacts.l, lacks, lacks)
+    # `argmax` takes a quarter of the time of `max`.
+    within = lacks[lacks.argmax()] <= 0.0
+    if within and limits.clearly_hold(opened.limits, q, v, a, force):
+        return Assisted(y, force, 0)
+    misses = limits.misses(q, v, a, force)[opened.limits]
+    if within and misses.max(initial=0.0) <= 0.0:
         return Assisted(y, force, 0)
     decided = _decide(stack, opened, misses, lacks)
     if decided is None:  # the clamp still limits the torque

@@ -208,7 +208,13 @@ class LimitedProjection:
         P, C, l = factorisation.P, stack.contacts.C, stack.contacts.l  # noqa: E741
         self._n_x, self._n_a, self._C, self._l = n_x, n_a, C, l
         self._D = np.ascontiguousarray(D)
-        self._beyond_from_y = np.concatenate([-D, D])
+        # Joint accelerations are entries of y, so that only the rows of torques need a product.
+        n_joints = n_x // 2
+        self._D_torque, self._joints = self._D[:n_joints], slice(n_a - n_joints, n_a)
+        self._moved, self._beyond = np.zeros(n_x), np.zeros((2, n_x))
+        self._of_torques, self._of_joints = self._moved[:n_joints], self._moved[n_joints:]
+        self._below, self._above = self._beyond
+        self._flat = self._beyond.reshape(-1)
         W = np.vstack([D, np.eye(n)[n_a:]])
         slack = np.full(len(W), _ROUNDING * np.diag(P)[n_a:].max())
         slack[:n_x] = limits.slack
@@ -228,9 +234,11 @@ class LimitedProjection:
         """Return whether the limits hold after y has `moved` from the iterate that has these
         misses.
         """
-        beyond = self._beyond_from_y.dot(moved)
-        beyond += misses
-        return bool(beyond.max() <= 0.0)
+        self._D_torque.dot(moved, self._of_torques)
+        self._of_joints[:] = moved[self._joints]
+        np.subtract(misses[: self._n_x], self._moved, self._below)
+        np.add(misses[self._n_x :], self._moved, self._above)
+        return bool(self._flat[self._flat.argmax()] <= 0.0)
 
     def obey(
         self, y: np.ndarray, moved: np.ndarray, misses: np.ndarray

@@ -20,7 +20,7 @@ import numpy as np
 
 from shared.config.settings import LimitsConfig, RunConfig
 from shared.robots import Robot
-from shared.wbc.model import Kinematics
+from shared.wbc.model import Live
 
 # Prices ω: of a torque [1/τ̄²], of an acceleration [s⁴/rad²].
 _TORQUE_PRICE, _JOINT_PRICE = 1e5, 1e2
@@ -66,15 +66,11 @@ class Limits:
         self._of_rates = np.zeros(n)
         # Misses, and views of them: making a view takes as long as a sum.
         self._misses = np.zeros((2, 2 * n))
-        # x and −x of a solution. For torques, bounds replace the entries of b: factor 0, not 1.
-        self._signed = np.zeros((2, 2 * n))
-        self._torque_bounds = np.zeros((2, 2 * n))
-        self._torque_bounds[:, :n] = self._lower[:n], self._minus_upper[:n]
-        self._of_b = np.tile(np.repeat([0.0, 1.0], n), 2)
         self._lower_misses, self._upper_misses = self._misses
         self._of_joints = self._misses[:, n:]
         self._lower_of_joints, self._upper_of_joints = self._of_joints
-        self._flat = self._misses.reshape(-1)
+        self._flat = Live(self._misses.reshape(-1))
+        self._sums = [*self._sums_of(-1.0, self._lower), *self._sums_of(1.0, self._minus_upper)]
 
     @staticmethod
     def of(robot: Robot, config: RunConfig) -> Limits | None:
@@ -84,27 +80,64 @@ class Limits:
             return None
         return Limits(robot, limits, torque_clamp=config.robot.torque_clamp)
 
-    def write_misses(self, rows: np.ndarray, kinematics: Kinematics) -> None:
-        """Set `rows` (2 n_x,) to lower − x, then x − upper; positive is beyond a bound.
+    def misses(self, q: np.ndarray, v: np.ndarray, a: np.ndarray | None, force: np.ndarray) -> Live:
+        """Distances of the quantities beyond their bounds, (2 n_x,): lower − x, then x − upper.
 
-        As in b, x belongs to y = 0, or to the solution at which `kinematics` was computed.
+        At (q, v), with the accelerations `a` (nv,), None for zero, and the generalised force of a
+        and the contact forces, `force` (nv,). Overwritten by the next call.
         """
-        np.multiply(kinematics.force[6:], self.torque_scale, self._torques)
+        np.multiply(force[6:], self.torque_scale, self._torques)
         if self._limits_joints:
-            np.multiply(kinematics.q[7:], _SQUARE_RATE, self._braking)
-            np.multiply(kinematics.v[6:], _DOUBLE_RATE, self._of_rates)
+            np.multiply(q[7:], _SQUARE_RATE, self._braking)
+            np.multiply(v[6:], _DOUBLE_RATE, self._of_rates)
             np.add(self._braking, self._of_rates, self._braking)
         np.subtract(self._lower, self._x, self._lower_misses)
         np.add(self._minus_upper, self._x, self._upper_misses)
         if self._limits_velocity:
-            self._bound_rates(self._of_joints, kinematics.v[6:])
+            self._bound_rates(self._of_joints, v[6:])
         if self._limits_joints:
-            np.minimum(self._of_joints, _HARDEST, self._of_joints)
-            if kinematics.a is not None:
-                a = kinematics.a[6:]
-                np.subtract(self._lower_of_joints, a, self._lower_of_joints)
-                np.add(self._upper_of_joints, a, self._upper_of_joints)
-        rows[:] = self._flat
+            # With `out` by its name, because numpy is slow to warn of a third position.
+            np.minimum(self._of_joints, _HARDEST, out=self._of_joints)
+            if a is not None:
+                of_joints = a[6:]
+                np.subtract(self._lower_of_joints, of_joints, self._lower_of_joints)
+                np.add(self._upper_of_joints, of_joints, self._upper_of_joints)
+        return self._flat
+
+    def _sums_of(self, sign: float, bounds: np.ndarray) -> list[tuple[float, ...]]:
+        """Coefficients of an entry's joint in (q, v, a, force), and the bound, without caps and
+        velocities.
+        """
+        of_torques = [(0.0, 0.0, 0.0, sign * scale) for scale in self.torque_scale.tolist()]
+        of_joints = [(sign * _RATE**2, sign * 2.0 * _RATE, sign, 0.0)] * len(of_torques)
+        both = zip([*of_torques, *of_joints], bounds.tolist(), strict=True)
+        return [(*coefficients, bound) for coefficients, bound in both]
+
+    def clearly_hold(
+        self, entries: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray, force: np.ndarray
+    ) -> bool:
+        """Return whether the `misses` of a few `entries` (k,) are none; False if it is not clear.
+
+        A loop over few numbers takes a third of the time of all misses.
+        """
+        if self._limits_velocity:
+            return False
+        n = len(self.clamp)
+        for entry in entries.tolist():
+            of_q, of_v, of_a, of_force, bound = self._sums[entry]
+            joint = entry % n
+            rate, turned = joint + 6, joint + 7
+            # A cap only makes a miss smaller. Written so that no NaN passes.
+            if not (
+                of_q * q.item(turned)
+                + of_v * v.item(rate)
+                + of_a * a.item(rate)
+                + of_force * force.item(rate)
+                + bound
+                <= 0.0
+            ):
+                return False
+        return True
 
     def _bound_rates(self, joints: np.ndarray, rates: np.ndarray) -> None:
         """Tighten the bounds of accelerations (2, n): the lower bounds, then the negated upper
@@ -115,24 +148,9 @@ class Limits:
         lowest, highest = joints[0].copy(), -joints[1]
         for bound, fastest in ((joints[0], -self._fastest), (joints[1], self._fastest)):
             np.subtract(fastest, _RATE * rates, bound)
-            np.maximum(bound, lowest, bound)
-            np.minimum(bound, highest, bound)
+            np.maximum(bound, lowest, out=bound)
+            np.minimum(bound, highest, out=bound)
         np.negative(joints[1], joints[1])
-
-    def misses(self, of_b: np.ndarray, force: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """The misses (2 n_x,) at a solution, from the entries of b at the same state.
-
-        `force` (nv,) is the generalised force of the solution, `a` (nv,) are its accelerations.
-        """
-        x, minus_x = self._signed
-        n = len(self.clamp)
-        np.multiply(force[6:], self.torque_scale, x[:n])
-        x[n:] = a[6:]
-        np.negative(x, minus_x)
-        misses: np.ndarray = self._of_b * of_b
-        misses += self._torque_bounds.reshape(-1)
-        misses -= self._signed.reshape(-1)
-        return misses
 
     def near(self, misses: np.ndarray, active: np.ndarray) -> np.ndarray:
         """The active limits and the nearest others, which the robot may meet before the next

@@ -191,15 +191,19 @@ class Stack:
         n_a = self.layout.n_accelerations
         return model.kinematics(q, v, y[:n_a], self.contacts.wrenches(y[n_a:]))
 
-    def right_hand_side(self, kinematics: Kinematics, reference: Reference) -> np.ndarray:
+    def right_hand_side(
+        self, kinematics: Kinematics, reference: Reference, *, with_limits: bool = True
+    ) -> np.ndarray:
         """b of Eq. (6), shape (layout.n_rows,), longer with limits.
 
         Dynamics rows −h_u [N, N m]; contact rows −J̇ v − kd J v [m/s², rad/s²]; task rows
         √ω (s̈* − J̇ v); a 1. With `kinematics_at` a solution y it is the residual of every row at y
         instead: e − E y, √ω (s̈* − J̇ v − J a). With limits, their entries follow: how far each
-        quantity is beyond its lower, then beyond its upper bound, see `Limits`.
+        quantity is beyond its lower, then beyond its upper bound, see `Limits`. `with_limits=False`
+        leaves them out: they are no part of A† b.
         """
-        b = np.empty(self._n_b)
+        limits = self.limits if with_limits else None
+        b = np.empty(self._n_rows if limits is None else self._n_b)
         np.negative(kinematics.force[:N_DYNAMICS], b[:N_DYNAMICS])
         for foot, rows in self._contact_rows:
             of_contact = b[rows]
@@ -208,8 +212,9 @@ class Stack:
         for task, rows in self._rows_of_tasks:
             task.write_target(b[rows], kinematics, reference)
         b[self._n_rows - 1] = 1.0
-        if self.limits is not None:
-            self.limits.write_misses(b[self._n_rows :], kinematics)
+        if limits is not None:
+            of_limits = limits.misses(kinematics.q, kinematics.v, kinematics.a, kinematics.force)
+            b[self._n_rows :] = of_limits
         return b
 
     def add_task_multipliers(self, residual: np.ndarray, multipliers: RowMultipliers) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from operator import lt
 from typing import Any
 
 import msgpack
@@ -46,6 +47,8 @@ from shared.wire.step_reports import STEP_SLOTS, step_values, steps_in, steps_of
 SCHEMA_VERSION = 4
 _STATE, _PROJECTOR, _FACTORISATION = "state", "projector", "factorisation"
 _DTYPES: dict[str, np.dtype[Any]] = {"float64": DOUBLE, "float32": SINGLE}
+
+_NO_FACTOR = np.zeros((0, 0), SINGLE)
 
 # Raises `MessageRefused` if an answer with this session and sequence is not wanted. It is called
 # before the numbers of a message with a form are checked, and after all checks of any other
@@ -396,13 +399,15 @@ class Codec:
         self, limits: bytes, push_bytes: bytes, factor_bytes: bytes, *, n: int
     ) -> Openness | None:
         """The open rows of an answer with n unknowns, or None if there is an error in them."""
-        entries = list(limits)
-        # They stay in single precision: most ticks do not need them.
-        push, factor = np.frombuffer(push_bytes, SINGLE), np.frombuffer(factor_bytes, SINGLE)
-        if not (all_finite(push) and all_finite(factor) and self._are_limits(entries)):
+        # The numbers stay in single precision: most ticks do not need them.
+        push, factor, k = np.frombuffer(push_bytes, SINGLE), _NO_FACTOR, len(limits)
+        if k:
+            factor = np.frombuffer(factor_bytes, SINGLE).reshape(k, k)
+            if not (all_finite(factor) and self._are_limits(limits)):
+                return None
+        if not all_finite(push):
             return None
-        k = len(entries)
-        return Openness(np.array(entries, dtype=int), push.reshape(n, -1), factor.reshape(k, k))
+        return Openness(np.frombuffer(limits, np.uint8), push.reshape(n, -1), factor)
 
     def _are_active_rows(self, rows: list[int], mode: ContactMode) -> bool:
         """Return whether `rows` ascend and are rows of C."""
@@ -410,11 +415,11 @@ class Codec:
             return True
         return rows == sorted(set(rows)) and rows[-1] < self._n_inequalities[mode]
 
-    def _are_limits(self, entries: list[int]) -> bool:
+    def _are_limits(self, entries: bytes) -> bool:
         """Return whether `entries` ascend and are those of limits in b."""
         if not entries:
             return True
-        return entries == sorted(set(entries)) and entries[-1] < self._n_limits
+        return entries[-1] < self._n_limits and all(map(lt, entries, entries[1:]))
 
     def _factorisation_fields(self, factorisation: Factorisation) -> dict[str, Any]:
         mode = factorisation.mode
@@ -499,12 +504,12 @@ class Codec:
 
     def _decode_open_rows(self, fields: dict[str, Any], layout: RowLayout) -> Openness:
         limits = fields.get("limits")
-        if not isinstance(limits, bytes) or not self._are_limits(list(limits)):
+        if not isinstance(limits, bytes) or not self._are_limits(limits):
             raise MessageRefused("shape", "limits")
         k = len(limits)
         push = array_of(fields, "push", (layout.n_unknowns, k + layout.n_forces), dtype=SINGLE)
         factor = array_of(fields, "factor", (k, k), dtype=SINGLE)
-        return Openness(np.array(list(limits), dtype=int), push, factor)
+        return Openness(np.frombuffer(limits, np.uint8), push, factor)
 
     def pack(self, kind: str, max_bytes: int, **fields: Any) -> bytes:
         """Return a message of a kind; raise `ConfigError` if it is longer than its channel's."""

@@ -287,6 +287,27 @@ def test_corrections_come_to_rest_at_exact_torque_limits(robot, config, model, r
     assert ratio.max() == pytest.approx(0.98, abs=2e-3)
 
 
+@pytest.mark.parametrize("velocity", [False, True])
+def test_limits_that_clearly_hold_are_not_missed(robot, wild_states, rng, velocity):
+    kinds = LimitsConfig(torque=True, position=True, velocity=velocity)
+    limits = Limits(robot, kinds, torque_clamp=1.0)
+    clear = unclear = 0
+    for q, v in wild_states:
+        a, force = 60.0 * rng.standard_normal(37), np.append(np.zeros(6), robot.effort_limit)
+        force[6:] *= rng.uniform(-1.1, 1.1, size=31)
+        misses = limits.misses(q, v, a, force).copy()
+        for entry in range(limits.n_entries):
+            if limits.clearly_hold(np.array([entry]), q, v, a, force):
+                assert misses[entry] <= 1e-12
+                clear += 1
+            else:
+                unclear += misses[entry] <= 0.0
+    # Only a capped bound, or one of a velocity, is not clear.
+    assert (clear == 0) if velocity else (clear > 1000 and unclear < 20)
+    nothing = np.full(37, np.nan)
+    assert not limits.clearly_hold(np.array([0]), q, v, a, nothing)
+
+
 def test_the_bound_lets_a_joint_rest_before_its_limit(robot):
     """a at its bound, from any approach that the bound allows, never passes the limit."""
     kinds = LimitsConfig(position=True, position_margin=0.0)
@@ -319,16 +340,6 @@ def test_a_position_goes_before_a_velocity(robot):
 
 
 def bounds(limits, robot, q, v):
-    """Lower and upper bounds, from the entries of b without torque and acceleration."""
-    kinematics = Stationary(q, v)
-    entries = np.empty(limits.n_entries)
-    limits.write_misses(entries, kinematics)
-    lower, minus_upper = np.split(entries, 2)
+    """Lower and upper bounds, from the misses without torque and acceleration."""
+    lower, minus_upper = np.split(limits.misses(q, v, None, np.zeros(len(v))).copy(), 2)
     return lower, -minus_upper
-
-
-class Stationary:
-    """A state without forces."""
-
-    def __init__(self, q, v):
-        self.q, self.v, self.a, self.force = q, v, None, np.zeros(37)
