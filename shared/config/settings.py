@@ -54,7 +54,7 @@ class Gains:
 
 @dataclass(frozen=True)
 class Weights:
-    """Task weights ω of Eq. (2a). Without a weight the angular momentum is no task."""
+    """Task weights ω of Eq. (2a). Without a weight, angular momentum and CoP are no tasks."""
 
     com: float = setting(1.0, help="weight of the CoM", at_least=1e-9)
     base_orientation: float = setting(0.1, help="weight of the base", at_least=1e-9)
@@ -62,6 +62,7 @@ class Weights:
     force: float = setting(1e-5, help="weight of the contact forces", at_least=1e-9)
     swing_foot: float = setting(10.0, help="weight of the swing foot", at_least=1e-9)
     angular_momentum: float = setting(0.0, help="weight of the angular momentum", at_least=0.0)
+    cop: float = setting(0.0, help="weight of the centre of pressure", at_least=0.0)
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ class Corrector:
             f = iterate.y[_forces(n_a, k)]
             gradient[_forces(n_a, k)] = stack.force_weight * f + lever
         if self._level == "c":
-            stack.add_task_multipliers(residual, multipliers)
+            stack.add_task_multipliers(residual, multipliers, now)
         gradient[:n_a] = -model.transposed(now.q, multipliers)
         if self._level == "b_adjoint":
             gradient[:n_a] -= self.factorisation.A.T @ residual[stack.task_rows]

@@ -111,6 +111,11 @@ class RowMultipliers:
     def zero(nv: int) -> RowMultipliers:
         return RowMultipliers(np.zeros(6), np.zeros(3), {}, np.zeros(nv))
 
+    def add_angular_momentum(self, rows: np.ndarray) -> None:
+        """Add multipliers (3,) of the rows of the angular momentum."""
+        given = self.angular_momentum
+        self.angular_momentum = rows if given is None else given + rows
+
 
 class _Momenta:
     """The centroidal momentum and its rate, in the workspace of a model."""

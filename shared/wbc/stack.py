@@ -4,11 +4,12 @@ The robot asks it for `right_hand_side` (b: cheap, every millisecond); the edge 
 (A: Jacobians). The rows of b that carry feedback are named in one `RowLayout`:
 
     dynamics 6 | contacts 6 per loaded foot | com 3 | base_orientation 3 | posture |
-    angular_momentum 3 (with a weight) | swing_foot 6 (single support) | bounds 1
+    angular_momentum 3 | cop 2 | swing_foot 6 (single support) | bounds 1
 
-Force regularisation targets zero and needs no row. The bounds of active inequality rows are
-constant, so `bounds` is a single entry, always 1: one column of a projector holds their effect. The
-entries of the robot's own limits follow the rows of the layout, see `limits`.
+Angular momentum and CoP have rows only with a weight. Force regularisation targets zero and needs
+no row. The bounds of active inequality rows are constant, so `bounds` is a single entry, always 1:
+one column of a projector holds their effect. The entries of the robot's own limits follow the rows
+of the layout, see `limits`.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from shared.wbc.tasks import (
     AngularMomentumTask,
     BaseOrientationTask,
     ComTask,
+    CopTask,
     PostureTask,
     SwingFootTask,
     Task,
@@ -118,6 +120,11 @@ class Stack:
             *(
                 [AngularMomentumTask(weight=weights.angular_momentum, kp=gains.angular_momentum)]
                 if weights.angular_momentum
+                else []
+            ),
+            *(
+                [CopTask(weight=weights.cop, mass=robot.mass, foot=self.support_foot)]
+                if weights.cop
                 else []
             ),
             *(
@@ -217,11 +224,13 @@ class Stack:
             b[self._n_rows :] = of_limits
         return b
 
-    def add_task_multipliers(self, residual: np.ndarray, multipliers: RowMultipliers) -> None:
-        """Add Aᵀ r for the weighted task rows r of `residual` (n_rows,)."""
+    def add_task_multipliers(
+        self, residual: np.ndarray, multipliers: RowMultipliers, now: Kinematics
+    ) -> None:
+        """Add Aᵀ r for the weighted task rows r of `residual` (n_rows,), at the kinematics."""
         row = self.task_rows.start
         for task, sqrt_weight, size in self._weighted_tasks:
-            task.add_transposed(sqrt_weight * residual[row : row + size], multipliers)
+            task.add_transposed(sqrt_weight * residual[row : row + size], multipliers, now)
             row += size
 
     def matrices(self, jacobians: Jacobians) -> StackMatrices:

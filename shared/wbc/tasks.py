@@ -19,6 +19,11 @@ from shared.robots import Foot
 from shared.wbc.model import Jacobians, Kinematics, RowMultipliers
 from shared.wbc.reference import Reference, turned
 
+# Acceleration of gravity in the world [m/s²].
+_GRAVITY = np.array((0.0, 0.0, -9.81))
+# A CoM lower than this over its soles is that of a fallen robot [m].
+_MIN_HEIGHT = 0.1
+
 
 class Task(Protocol):
     """A linear objective ‖J a − target‖² with weight ω."""
@@ -42,9 +47,11 @@ class Task(Protocol):
         """Set `rows` (size,) to √ω (s̈* − J̇ v − J a); a is that of the kinematics."""
         ...
 
-    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+    def add_transposed(
+        self, rows: np.ndarray, multipliers: RowMultipliers, kinematics: Kinematics
+    ) -> None:
         """Add Jᵀ `rows` (size,) to a product, as multipliers of the rows of the model that make up
-        J.
+        J at the kinematics.
         """
         ...
 
@@ -94,7 +101,9 @@ class ComTask:
         # A row times R is Rᵀ times the column: from the world to the base.
         self._gains.dot(self._error).dot(kinematics.world_from_base, rows)
 
-    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+    def add_transposed(
+        self, rows: np.ndarray, multipliers: RowMultipliers, kinematics: Kinematics
+    ) -> None:
         multipliers.com += rows
 
 
@@ -121,7 +130,9 @@ class BaseOrientationTask:
         if kinematics.a is not None:
             rows -= gains.acceleration * kinematics.a[3:6]
 
-    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+    def add_transposed(
+        self, rows: np.ndarray, multipliers: RowMultipliers, kinematics: Kinematics
+    ) -> None:
         multipliers.joints[3:6] += rows
 
 
@@ -148,7 +159,9 @@ class PostureTask:
         if kinematics.a is not None:
             rows -= gains.acceleration * kinematics.a[6:]
 
-    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+    def add_transposed(
+        self, rows: np.ndarray, multipliers: RowMultipliers, kinematics: Kinematics
+    ) -> None:
         multipliers.joints[6:] += rows
 
 
@@ -168,10 +181,7 @@ class AngularMomentumTask:
         self._kp = kp
 
     def jacobian(self, jacobians: Jacobians) -> np.ndarray:
-        # J_com = (I, −[c]ₓ, …) with the CoM c in the base frame.
-        M, minus_com = jacobians.M_unactuated, jacobians.J_com[:, 3:6]
-        rows: np.ndarray = M[3:] + minus_com @ M[:3]
-        return rows
+        return _angular_momentum_rows(jacobians)
 
     def write_target(self, rows: np.ndarray, kinematics: Kinematics, reference: Reference) -> None:
         momentum, rate = kinematics.angular_momentum()
@@ -179,9 +189,75 @@ class AngularMomentumTask:
         asked *= -self._root
         asked.dot(kinematics.world_from_base, rows)
 
-    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
-        given = multipliers.angular_momentum
-        multipliers.angular_momentum = rows if given is None else given + rows
+    def add_transposed(
+        self, rows: np.ndarray, multipliers: RowMultipliers, kinematics: Kinematics
+    ) -> None:
+        multipliers.add_angular_momentum(rows)
+
+
+class CopTask:
+    """Centre of pressure (CoP) in the plane of a loaded sole, as in TSID, but by accelerations.
+
+    The moment of the contact forces about the point below the CoM, over m h, is
+
+        (c̈ − g − e_z × L̇ / (m h))_xy = F_z / (m h) (c − p)_xy
+
+    in the sole frame, with the CoM c, its height h over the sole, and the CoP p. The rows ask for
+    the reference's p. Its F, m (c̈_ref − g), leaves p and passes through its CoM.
+    """
+
+    name = "cop"
+    size = 2
+    constant = False
+
+    def __init__(self, *, weight: float, mass: float, foot: Foot) -> None:
+        self.weight = weight
+        self._root = math.sqrt(weight)
+        self._mass = mass
+        self._foot = foot
+
+    def jacobian(self, jacobians: Jacobians) -> np.ndarray:
+        J_sole, J_com = jacobians.J_sole[self._foot][:3], jacobians.J_com
+        sole_from_base = J_sole[:, :3]
+        # [c]ₓ and [p]ₓ, of the CoM and the sole in the base frame, are in the columns of turns.
+        lever = sole_from_base.T @ J_sole[:, 3:6] - J_com[:, 3:6]
+        com_from_sole = np.array((lever[2, 1], lever[0, 2], lever[1, 0]))
+        mass_height = self._mass * _height(sole_from_base[2] @ com_from_sole)
+        rows: np.ndarray = sole_from_base[:2] @ J_com
+        turn = sole_from_base[:2] @ _angular_momentum_rows(jacobians)
+        rows[0] += turn[1] / mass_height
+        rows[1] -= turn[0] / mass_height
+        return rows
+
+    def write_target(self, rows: np.ndarray, kinematics: Kinematics, reference: Reference) -> None:
+        sole = kinematics.sole_placement(self._foot)
+        sole_from_world = sole.rotation.T
+        com = sole_from_world.dot(kinematics.com - sole.translation)
+        height = _height(com[2])
+        command, acceleration = reference.com_command, reference.com_acceleration
+        if command is None:
+            force = sole_from_world.dot(acceleration - _GRAVITY)
+            com_reference = sole_from_world.dot(reference.com - sole.translation)
+            cop = com_reference - force * (com_reference[2] / force[2])
+            asked = (com - cop) * (force[2] / height)
+        else:
+            # From the law's CoP its force passes through the CoM.
+            asked = sole_from_world.dot(np.append(command, acceleration[2]) - _GRAVITY)
+        asked -= sole_from_world.dot(kinematics.com_acceleration - _GRAVITY)
+        _, rate = kinematics.angular_momentum()
+        turn = sole_from_world.dot(rate) / (self._mass * height)
+        rows[0] = self._root * (asked[0] - turn[1])
+        rows[1] = self._root * (asked[1] + turn[0])
+
+    def add_transposed(
+        self, rows: np.ndarray, multipliers: RowMultipliers, kinematics: Kinematics
+    ) -> None:
+        sole = kinematics.sole_placement(self._foot)
+        base_from_sole = kinematics.world_from_base.T.dot(sole.rotation)
+        height = _height(sole.rotation[:, 2].dot(kinematics.com - sole.translation))
+        multipliers.com += base_from_sole[:, :2].dot(rows)
+        turned = np.array((-rows[1], rows[0])) / (self._mass * height)
+        multipliers.add_angular_momentum(base_from_sole[:, :2].dot(turned))
 
 
 class SwingFootTask:
@@ -232,8 +308,23 @@ class SwingFootTask:
         self._tilt[3:] = pin.log3(R.T.dot(turned(swing.yaw)))
         self._factors.dot(self._terms, rows)
 
-    def add_transposed(self, rows: np.ndarray, multipliers: RowMultipliers) -> None:
+    def add_transposed(
+        self, rows: np.ndarray, multipliers: RowMultipliers, kinematics: Kinematics
+    ) -> None:
         multipliers.soles[self.foot] = multipliers.soles.get(self.foot, 0.0) + rows
+
+
+def _angular_momentum_rows(jacobians: Jacobians) -> np.ndarray:
+    """The angular part of the centroidal momentum matrix, (3, nv), in the base frame."""
+    # J_com = (I, −[c]ₓ, …) with the CoM c in the base frame.
+    M, minus_com = jacobians.M_unactuated, jacobians.J_com[:, 3:6]
+    rows: np.ndarray = M[3:] + minus_com @ M[:3]
+    return rows
+
+
+def _height(height: float) -> float:
+    """The height of the CoM over a sole [m], never that of a fallen robot."""
+    return max(float(height), _MIN_HEIGHT)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:

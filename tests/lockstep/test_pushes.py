@@ -99,6 +99,27 @@ def test_a_weight_of_the_angular_momentum_turns_the_robot_less(controller, robot
     assert turning(1.0) < 0.5 * turning(0.0)
 
 
+def test_with_a_task_of_the_cop_the_controllers_agree():
+    """Under a push, without delay: PR and LA to the last bit, LC but for its stale trade-off."""
+    pr, la, lc = (
+        play(
+            **{
+                "controller": controller,
+                "push": ["60N@0.05s:0.1s:+x"],
+                "link.network": "constant:0ms",
+                "duration": 0.3,
+                "wbc.weights.cop": 1.0,
+            }
+        )
+        for controller in ("pr", "la", "lc")
+    )
+    np.testing.assert_array_equal(
+        pr.schema.column(pr.rows, "tau"), la.schema.column(la.rows, "tau")
+    )
+    com = lc.schema.column(lc.rows, "com")
+    assert np.abs(com - la.schema.column(la.rows, "com")).max() < 3e-4
+
+
 @pytest.mark.parametrize("kind", ["mujoco", "rigid"])
 def test_the_measured_forces_carry_the_robot(kind, robot):
     result = play(

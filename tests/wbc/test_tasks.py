@@ -13,6 +13,7 @@ from shared.wbc.tasks import (
     AngularMomentumTask,
     BaseOrientationTask,
     ComTask,
+    CopTask,
     PostureTask,
     SwingFootTask,
 )
@@ -194,11 +195,14 @@ def test_the_rate_of_the_angular_momentum_is_its_row_times_the_acceleration(
 
 def test_multipliers_of_a_task_are_added_to_those_that_are_there(task, model, states, rng):
     swing = SwingFootTask(weight=1.0, kp=KP, foot=Foot.LEFT)
-    for each in (task, swing, AngularMomentumTask(weight=1.0, kp=KP)):
+    turn = AngularMomentumTask(weight=1.0, kp=KP)
+    cop = CopTask(weight=1.0, mass=model.robot.mass, foot=Foot.RIGHT)
+    for each in (task, swing, turn, cop):
         multipliers = RowMultipliers.zero(model.nv)
         first, second = rng.standard_normal((2, each.size))
-        each.add_transposed(first, multipliers)
-        each.add_transposed(second, multipliers)
-        q = states[2].q
+        q, v = states[2]
+        kinematics = model.kinematics(q, v)
+        each.add_transposed(first, multipliers, kinematics)
+        each.add_transposed(second, multipliers, kinematics)
         expected = each.jacobian(model.jacobians(q)).T @ (first + second)
         np.testing.assert_allclose(model.transposed(q, multipliers), expected, atol=1e-10)
