@@ -33,7 +33,8 @@ class CacheEntry:
 
     `tau` and `y` are the full solution at that state. They are None for a projector that was solved
     on board or for another contact mode than the state's. `proven`: it comes from the
-    robot itself, or has passed the test at its first use.
+    robot itself, or has passed the test at its first use. `exact`: it has passed the test at its
+    own state.
     """
 
     timed: TimedProjector
@@ -43,6 +44,7 @@ class CacheEntry:
     tau: np.ndarray | None = None
     y: np.ndarray | None = None
     proven: bool = False
+    exact: bool = False
 
     @property
     def projector(self) -> Projector:
@@ -176,7 +178,7 @@ class ProjectorCache(AnswerCache):
 
     def reject(self, entry: CacheEntry) -> None:
         """Count an entry as refused and forget it. Answers to older states are then welcome."""
-        self.refused["dynamics"] += 1
+        self.refused["dynamics" if entry.projector.open is None else "open_rows"] += 1
         self._entries[entry.projector.mode].remove(entry)
         left = [each for entries in self._entries.values() for each in entries if not each.on_board]
         newest = max(left, key=lambda each: each.sequence, default=None)

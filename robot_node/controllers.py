@@ -25,7 +25,7 @@ from shared.config.settings import RunConfig
 from shared.robots import Foot
 from shared.telemetry.schema import Source
 from shared.user_code import Attribute, Members, Method, array_fault, kind_fault
-from shared.wbc.assisted import apply_projector
+from shared.wbc.assisted import Assisted, apply_projector
 from shared.wbc.balance import BalanceLaw
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
@@ -211,7 +211,10 @@ class LocallyAssisted(Controller):
             self.on_board = OnBoardWindow(switch, motion, computer, self.cache)
         self._model = parts.model
         self._stacks = parts.stacks
-        self._verifier = ProjectorVerifier(parts.model, parts.stacks, motion.reference(0))
+        # Seeded as that of LC.
+        self._verifier = ProjectorVerifier(
+            parts.model, parts.stacks, motion.reference(0), np.random.default_rng()
+        )
         self.balance = make_balance_law(parts)
         self._wrenches: dict[Foot, np.ndarray] = {}
         self._stack: Stack
@@ -236,7 +239,7 @@ class LocallyAssisted(Controller):
             )
             y, force = assisted.y, assisted.force
             tau = force[N_DYNAMICS:].copy()
-            if entry.proven or self._verifier.is_plausible(force) or self._is_exact(entry):
+            if self._is_right(entry, assisted):
                 # From now on it may grow stale, which is no fault of the edge.
                 entry.proven = True
                 if self.balance is not None:
@@ -245,9 +248,16 @@ class LocallyAssisted(Controller):
             self.cache.reject(entry)
         return None
 
-    def _is_exact(self, entry: CacheEntry) -> bool:
+    def _is_right(self, entry: CacheEntry, assisted: Assisted) -> bool:
+        """Test an answer at its first use, and once more at the first use of its pushes."""
+        if entry.exact or entry.on_board:
+            return True
+        plausible = entry.proven or self._verifier.is_plausible(assisted.force)
+        if plausible and not assisted.pushes:
+            return True
         state = self.cache.state_of(entry)
-        return state is not None and self._verifier.is_exact(entry.projector, *state)
+        entry.exact = state is not None and self._verifier.is_exact(entry.projector, *state)
+        return entry.exact
 
 
 def _decision(entry: CacheEntry, tau: np.ndarray, y: np.ndarray, active_set: int) -> Decision:

@@ -2,8 +2,8 @@
 
 The robot can verify LC's factorisation completely: it is the inverse of the robot's own KKT matrix,
 at a posture near the one that the robot sent. LA's projector contains a choice of the edge, the
-trade-off between tasks. The robot can verify only that its solution obeys the robot's dynamics and
-contacts.
+active set. The robot can verify only that its solution obeys the robot's dynamics and contacts. A
+projector with open rows leaves the choice to the robot, which can verify it completely, too.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from shared.wbc.finite import all_finite
 from shared.wbc.model import Jacobians, WholeBodyModel
 from shared.wbc.reference import Reference
 from shared.wbc.stack import Stack
-from shared.wbc.verification import InverseTest
+from shared.wbc.verification import InverseTest, OpenRowsTest
 
 # Distance of a factorised posture from the one that the robot sent [rad]: root mean square, and of
 # one joint. The edge looks ahead by up to 0.05 rad, a third of which may be in one joint. Noise
@@ -98,15 +98,21 @@ class ProjectorVerifier:
 
     The solution of a projector at its own state obeys them exactly, for any b. On the next ticks it
     obeys them nearly as well. The robot knows in every tick the force that the base lacks. If this
-    force is large at the first use, the projector is tested at its own state.
+    force is large at the first use, the projector is tested at its own state. So it is when the
+    robot first needs the pushes of its open rows. `rng` is as for `FactorisationVerifier`.
     """
 
     def __init__(
-        self, model: WholeBodyModel, stacks: dict[ContactMode, Stack], reference: Reference
+        self,
+        model: WholeBodyModel,
+        stacks: dict[ContactMode, Stack],
+        reference: Reference,
+        rng: np.random.Generator,
     ) -> None:
         self._model = model
         self._stacks = stacks
         self._reference = reference
+        self._open_tests = {mode: OpenRowsTest(stack, rng=rng) for mode, stack in stacks.items()}
         weight = _GRAVITY * model.robot.mass
         self._force = (_FORCE * weight) ** 2
         self._moment = (_MOMENT * weight * float(reference.com[2])) ** 2
@@ -119,9 +125,12 @@ class ProjectorVerifier:
     def is_exact(self, projector: Projector, q: np.ndarray, v: np.ndarray) -> bool:
         """Return whether the projector's solution obeys all equalities at its own state (q, v).
 
-        Overwrites the model.
+        With open rows the whole projector must be that of the state. Overwrites the model.
         """
         stack, model = self._stacks[projector.mode], self._model
+        if projector.open is not None:
+            matrices = stack.matrices(model.jacobians(q))
+            return self._open_tests[projector.mode].passes(matrices, projector)
         b = stack.right_hand_side(model.kinematics(q, v), self._reference)
         with np.errstate(over="ignore", invalid="ignore"):
             y = apply_projector(stack, projector, b, model=model, q=q, v=v).y

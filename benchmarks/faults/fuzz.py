@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks.faults.cases import Case, Draw, Parameters
-from benchmarks.faults.hostile import TO_EDGE, TO_ROBOT, Change, Drawn
+from benchmarks.faults.hostile import TO_EDGE, TO_OPEN_ROWS, TO_ROBOT, Change, Drawn
 from benchmarks.faults.hostile_plans import TO_LAW, TO_PLANS, is_law
 from benchmarks.faults.pair import Arrive, Pair, unchanged
 from shared.config.config_file import load_config
 from shared.motion.step_law import StepLaw
 from shared.wire.plans import PlanCodec, law_identity
 
-EDGE, ROBOT, PLANS, LAW = "edge", "robot", "plans", "law"
+EDGE, ROBOT, PLANS, LAW, OPEN = "edge", "robot", "plans", "law", "open"
 # The last ticks of a case, which are compared.
 _COMPARED = 100
 # A torque may differ from the twin's by this [N m]: an answer that is accepted, and then replaced,
@@ -40,6 +40,15 @@ WALK: Parameters = {
     "plant.joint_limits": True,
     "plant.leg_collision": True,
 }
+# A robot with its own limits, which a push makes it reach.
+LIMITED: Parameters = {
+    "wbc.limits.torque": True,
+    "wbc.limits.position": True,
+    "push": ["100N@0.02s:0.2s:+y"],
+}
+# Controllers, and whether an answer to every state is asked for. LC takes two turns in four: with
+# an answer to every state, and as it is.
+_TURNS = (("la", False), ("lc", True), ("pr", False), ("lc", False))
 
 
 @dataclass(frozen=True)
@@ -57,6 +66,7 @@ class _Target:
     at: tuple[int, ...]
     honest: int
     settings: Parameters
+    turns: tuple[tuple[str, bool], ...] = _TURNS
 
     @property
     def ticks(self) -> int:
@@ -69,6 +79,9 @@ _TARGETS = {
     ROBOT: _Target("to the robot", TO_ROBOT, "downlink", (20, 150), 1000, {}),
     PLANS: _Target("of a plan", TO_PLANS, "plans", (0, 400, 900), 1500, WALK),
     LAW: _Target("of a step law", TO_LAW, "plans", (0,), 2400, WALK),
+    OPEN: _Target(
+        "of open rows", TO_OPEN_ROWS, "downlink", (110, 250), 1000, LIMITED, turns=(("la", False),)
+    ),
 }
 
 
@@ -175,13 +188,10 @@ def _refused(pair: Pair) -> int:
 
 def _draw(to: str, change: str) -> Draw:
     draw, _ = _TARGETS[to].changes[change]
-    at = _TARGETS[to].at
+    at, turns = _TARGETS[to].at, _TARGETS[to].turns
 
     def parameters(turn: int, rng: np.random.Generator) -> Parameters:
-        # LC takes two turns in four: with an answer to every state, and as it is.
-        controller, every_state = (("la", False), ("lc", True), ("pr", False), ("lc", False))[
-            (turn + int(rng.integers(4))) % 4
-        ]
+        controller, every_state = turns[(turn + int(rng.integers(len(turns)))) % len(turns)]
         return {
             "to": to,
             "change": change,

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.faults.cases import Parameters
 from benchmarks.faults.lockstep import flip_bits
-from shared.wbc.answer import Factorisation
+from shared.wbc.answer import Factorisation, Projector
 from shared.wire.codec import Codec
 from shared.wire.messages import FactorisationMessage, ProjectorMessage, RobotState
 
@@ -119,6 +119,29 @@ def _matrices(change: Callable[[np.ndarray, Any, np.random.Generator], np.ndarra
     return _in_answer(changed)
 
 
+def _opened(name: str) -> Change:
+    """Scale an array of the open rows of every projector, or leave other limits open."""
+
+    def changed(message: Any, by: float | None, rng: np.random.Generator) -> Any:
+        def wrong(projector: Projector) -> Projector:
+            opened = projector.open
+            assert opened is not None
+            array = getattr(opened, name)
+            if by is None:
+                fields = {name: np.sort(rng.choice(len(array) + 20, len(array), replace=False))}
+            else:
+                fields = {name: by * array}
+            return dataclasses.replace(projector, open=dataclasses.replace(opened, **fields))
+
+        timed = tuple(
+            dataclasses.replace(each, projector=wrong(each.projector))
+            for each in message.projectors
+        )
+        return dataclasses.replace(message, projectors=timed)
+
+    return _in_answer(changed)
+
+
 def _with_column(block: np.ndarray, by: float, rng: np.random.Generator) -> np.ndarray:
     block = block.copy()
     block[:, int(rng.integers(block.shape[1]))] += by
@@ -213,4 +236,10 @@ TO_ROBOT: dict[str, tuple[Drawn, Change]] = {
     "permuted": (choose(0, 1), _matrices(lambda block, by, rng: rng.permutation(block, axis=by))),
     "a column": (choose(1e3, 1e12, float("nan")), _matrices(_with_column)),
     **ANY,
+}
+_SCALES = choose(-1.0, 0.0, 0.9, 1.1, 1e6, 1e30)
+TO_OPEN_ROWS: dict[str, tuple[Drawn, Change]] = {
+    "pushes": (_SCALES, _opened("push")),
+    "factors": (_SCALES, _opened("factor")),
+    "limits": (choose(None), _opened("limits")),
 }

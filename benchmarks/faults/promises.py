@@ -65,6 +65,12 @@ PROMISES = (
         ),
     ),
     Promise(
+        FUZZ,
+        "Open rows that are not the robot's own change no torque",
+        _has("equal"),
+        lambda case: case.parameters["to"] == fuzz.OPEN,
+    ),
+    Promise(
         LOCKSTEP,
         "LC never falls and never hangs",
         _stands,

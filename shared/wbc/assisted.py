@@ -27,11 +27,15 @@ _NO_BOUND = 1e30
 
 @dataclass(slots=True)
 class Assisted:
-    """A solution `y` (n,), its generalised force (nv,), see `recover_force`, and its active set."""
+    """A solution `y` (n,), its generalised force (nv,), see `recover_force`, and its active set.
+
+    `pushes`: A† b breaks an inequality, so that the pushes decide on the solution.
+    """
 
     y: np.ndarray
     force: Live
     active_set: int
+    pushes: bool = False
 
 
 def apply_projector(
@@ -64,11 +68,11 @@ def apply_projector(
         return Assisted(y, force, 0)
     decided = _decide(stack, opened, misses, lacks)
     if decided is None:  # the clamp still limits the torque
-        return Assisted(y, force, projector.active_set)
+        return Assisted(y, force, projector.active_set, pushes=True)
     u, active = decided
     y += opened.push.dot(u)
     force = recover_force(model, stack.contacts, q, v, y)
-    return Assisted(y, force, stack.mode.active_set(active))
+    return Assisted(y, force, stack.mode.active_set(active), pushes=True)
 
 
 def _decide(

@@ -342,6 +342,77 @@ def test_a_projector_that_obeys_the_dynamics_but_wants_another_motion_is_not_see
     assert not bench.robot.cache.refused
 
 
+@pytest.fixture(scope="module")
+def limited(robot, motion, configured):
+    """LA with torque limits so low that it needs the pushes of every answer."""
+    config = configured(
+        controller="la", push=[], **{"wbc.limits.torque": True, "wbc.limits.torque_fraction": 0.15}
+    )
+    return lambda: Bench(robot, motion, config)
+
+
+def open_rows_changed(**changes):
+    """Change arrays of a projector, or of its open rows."""
+
+    def lie(message):
+        def changed(projector):
+            opened = dataclasses.replace(
+                projector.open,
+                **{
+                    name: change(getattr(projector.open, name))
+                    for name, change in changes.items()
+                    if name != "A_dagger"
+                },
+            )
+            A_dagger = changes.get("A_dagger", lambda A: A)(projector.A_dagger)
+            return dataclasses.replace(projector, A_dagger=A_dagger, open=opened)
+
+        timed = tuple(
+            dataclasses.replace(each, projector=changed(each.projector))
+            for each in message.projectors
+        )
+        return dataclasses.replace(message, projectors=timed)
+
+    return lie
+
+
+OPEN_LIES = {
+    "pushes × −1": open_rows_changed(push=lambda push: -push),
+    "pushes × 1.1": open_rows_changed(push=lambda push: 1.1 * push),
+    "pushes × 10⁶": open_rows_changed(push=lambda push: 1e6 * push),
+    "no pushes": open_rows_changed(push=lambda push: 0.0 * push),
+    "pushes exchanged": open_rows_changed(push=lambda push: push[:, ::-1].copy()),
+    "a factor × 0.9": open_rows_changed(factor=lambda factor: 0.9 * factor),
+    "no factor": open_rows_changed(factor=lambda factor: 0.0 * factor),
+    "both × 10³⁰": open_rows_changed(
+        push=lambda push: 1e30 * push, factor=lambda factor: 1e30 * factor
+    ),
+    "other limits": open_rows_changed(limits=lambda limits: np.arange(len(limits))),
+    # It obeys the dynamics.
+    "tasks × −1": open_rows_changed(A_dagger=lambda A: np.hstack([A[:, :18], -A[:, 18:]])),
+}
+
+
+@pytest.mark.parametrize("lie", OPEN_LIES.values(), ids=OPEN_LIES)
+def test_open_rows_that_are_not_the_robots_own_are_silence(limited, lie):
+    silent = limited().run(HONEST).run(ATTACKED, deliver=nothing).column("tau")
+    bench = limited().run(HONEST)
+    with np.errstate(all="ignore"):
+        bench.run(ATTACKED, deliver=bench.doctored(lie))
+    np.testing.assert_array_equal(bench.column("tau"), silent)
+    assert bench.robot.cache.refused == {"open_rows": ATTACKED}
+
+
+def test_open_rows_that_no_inequality_needs_are_not_tested(robot, motion, configured):
+    """The test takes time, and pushes that are not used do no harm."""
+    config = configured(controller="la", push=[], **{"wbc.limits.torque": True})
+    honest = Bench(robot, motion, config).run(HONEST + ATTACKED).column("tau")
+    bench = Bench(robot, motion, config).run(HONEST)
+    bench.run(ATTACKED, deliver=bench.doctored(OPEN_LIES["pushes × −1"]))
+    np.testing.assert_array_equal(bench.column("tau"), honest)
+    assert not bench.robot.cache.refused
+
+
 @pytest.mark.parametrize("spread", [1, 5, 9])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_an_honest_projector_is_exact_at_its_own_state(
@@ -350,7 +421,8 @@ def test_an_honest_projector_is_exact_at_its_own_state(
     config = configured(**{"wire.projector_dtype": dtype})
     codec, edge = Codec(robot, config, motion), EdgeNode(robot, config, motion)
     q, v = states[spread]
-    verifier = ProjectorVerifier(WholeBodyModel(robot), stacks, motion.reference(0))
+    rng = np.random.default_rng(0)
+    verifier = ProjectorVerifier(WholeBodyModel(robot), stacks, motion.reference(0), rng)
     for mode in ContactMode:
         edge.receive(codec.encode_state(make_state(robot, session=mode, q=q, v=v, mode=mode)), 0)
         answer = edge.step()

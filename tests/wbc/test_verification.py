@@ -7,10 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
+from shared.config.settings import LimitsConfig
+from shared.wbc.answer import Openness
 from shared.wbc.contacts import ContactMode
 from shared.wbc.factorisation import factorise_kkt
+from shared.wbc.limits import Limits
+from shared.wbc.projector import leave_open
 from shared.wbc.stack import Stack
-from shared.wbc.verification import InverseTest
+from shared.wbc.verification import InverseTest, OpenRowsTest
 
 MODES = list(ContactMode)
 BLOCKS = ("P", "Q", "T", "A")
@@ -140,3 +144,81 @@ def test_the_power_of_the_test_ends_at_a_part_in_a_thousand(make, mode, name, rn
     assert seen == sorted(seen)
     assert not seen[0]
     assert sizes[seen.index(True)] <= 0.1
+
+
+# ---- Projectors with open rows
+
+
+@pytest.fixture
+def make_open(robot, config, model, rng):
+    """The matrices of a mode with limits, a projector that leaves `k` of them open, as it arrives,
+    and its test.
+    """
+    limits = Limits(robot, LimitsConfig(torque=True, position=True), torque_clamp=1.0)
+
+    def build(mode, *, spread=0.2, k=9):
+        stack = Stack(robot, config.wbc, mode, limits)
+        q = robot.q_standing.copy()
+        q[7:] += spread * rng.standard_normal(len(q) - 7)
+        matrices = stack.matrices(model.jacobians(q))
+        # Of each quantity at most one bound.
+        chosen = rng.choice(62, size=k, replace=False) + 62 * rng.integers(2, size=k)
+        projector = leave_open(
+            stack, stack.least_norm(matrices), np.arange(3), np.sort(chosen.astype(int))
+        )
+        return matrices, in_single(projector), OpenRowsTest(stack, rng=rng)
+
+    return build
+
+
+def in_single(projector, **changes):
+    arrays = {
+        "A_dagger": projector.A_dagger,
+        "push": projector.open.push,
+        "factor": projector.open.factor,
+    }
+    rounded = {name: np.float64(np.float32(each)) for name, each in (arrays | changes).items()}
+    opened = Openness(projector.open.limits, rounded["push"], rounded["factor"])
+    return dataclasses.replace(projector, A_dagger=rounded["A_dagger"], open=opened)
+
+
+@pytest.mark.parametrize("k", [0, 1, 40])
+@pytest.mark.parametrize("spread", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("mode", MODES)
+def test_open_rows_of_an_honest_edge_pass(make_open, mode, spread, k):
+    for _ in range(3):
+        matrices, projector, test = make_open(mode, spread=spread, k=k)
+        assert test.passes(matrices, projector)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("name", ["A_dagger", "push", "factor"])
+def test_an_error_of_a_part_in_a_hundred_in_open_rows_is_refused(make_open, mode, name, rng):
+    matrices, projector, test = make_open(mode)
+    array = projector.A_dagger if name == "A_dagger" else getattr(projector.open, name)
+    sizes = 10.0 ** np.arange(-8.0, 0.5, 0.5)
+    error = rng.standard_normal(array.shape) * np.abs(array)
+    seen = [
+        not test.passes(matrices, in_single(projector, **{name: array + size * error}))
+        for size in sizes
+    ]
+    assert seen == sorted(seen)
+    assert not seen[0]
+    assert sizes[seen.index(True)] <= 0.01
+    for scale in (-1.0, 0.0, 0.95, 1e6, 1e30, np.nan):
+        assert not test.passes(matrices, in_single(projector, **{name: scale * array}))
+
+
+def test_a_single_wrong_column_of_the_pushes_is_refused(make_open):
+    matrices, projector, test = make_open(MODES[0])
+    for column in range(projector.open.push.shape[1]):
+        push = projector.open.push.copy()
+        push[:, column] *= 1.1
+        assert not test.passes(matrices, in_single(projector, push=push))
+
+
+def test_open_rows_of_another_posture_are_refused(make_open):
+    matrices, _, test = make_open(MODES[0])
+    for spread in (0.01, 0.1, 1.0):
+        _, other, _ = make_open(MODES[0], spread=spread)
+        assert not test.passes(matrices, other)
