@@ -65,9 +65,12 @@ class FactorisationRefresh:
 
     def _note_arrivals(self, state: RobotState, held_sequences: tuple[int, ...]) -> None:
         for mode, sent in self._sent.items():
-            if held_sequences[mode] >= sent.sequence and not sent.arrived:
+            holds = held_sequences[mode] >= sent.sequence
+            if holds and not sent.arrived:
                 self._round_trip_ns = state.stamp_ns - sent.stamp_ns
-                self._sent[mode] = replace(sent, arrived=True)
+            # A robot whose controller was replaced lacks what it held before.
+            if holds is not sent.arrived:
+                self._sent[mode] = replace(sent, arrived=holds)
 
     def _is_due(
         self,

@@ -90,6 +90,11 @@ class AnswerCache(ABC):
         return True
 
     @property
+    def is_empty(self) -> bool:
+        """Return whether only answers without content have come."""
+        return False
+
+    @property
     def held_sequences(self) -> tuple[int, ...] | None:
         """Sequences of the held factorisations, to report to the edge; see `RobotState`."""
         return None
@@ -220,6 +225,10 @@ class FactorisationCache(AnswerCache):
         self._stacks = stacks
         self._level = level
         self._entries: dict[ContactMode, CorrectorEntry] = {}
+
+    @property
+    def is_empty(self) -> bool:
+        return not self._entries
 
     @property
     def held_sequences(self) -> tuple[int, ...]:

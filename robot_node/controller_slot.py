@@ -84,7 +84,11 @@ class ControllerSlot:
     def follow(self) -> None:
         """Change to the controller that waits once it has an answer. Call this in every tick."""
         waiting = self._waiting
-        if waiting is not None and self.cache.newest_stamp_ns > self._before_ns:
+        if (
+            waiting is not None
+            and self.cache.newest_stamp_ns > self._before_ns
+            and not self.cache.is_empty
+        ):
             self._waiting = None
             self._change_to(waiting)
 

@@ -325,3 +325,13 @@ def test_an_edge_that_started_anew_sends_to_a_robot_that_holds_something(bench):
     served = bench()
     served.held_sequences = [4, 4, 4]
     assert served.due(900) == EVERY_MODE
+
+
+def test_a_robot_that_holds_nothing_any_more_is_served_again(bench):
+    # Its controller was replaced, or a state that was wrong has said that all had arrived.
+    served = bench()
+    served.serve(0)
+    assert served.serve(1) is None
+    served.held_sequences = [-1, -1, -1]
+    assert served.serve(101) == EVERY_MODE
+    assert served.due(102) is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from threading import Thread
@@ -84,6 +85,28 @@ def test_another_controller_takes_over_with_its_first_answer(bench, before, afte
     assert Source.HELD not in [command.source for command in played.commands]
     # Answers of the last controller's kind are no fault of the edge.
     assert played.robot.cache.refused == {}
+
+
+def test_lc_takes_over_again_after_another_controller(bench):
+    played = bench(controller="lc").run(3)
+    for name in ("la", "lc"):
+        given(played, f"controller {name}")
+        played.run(210)
+        assert isinstance(played.robot.controller, KINDS[name])
+        assert Source.HELD not in [command.source for command in played.commands]
+
+
+def test_a_sign_of_life_without_a_factorisation_is_no_first_answer(bench):
+    played = bench(controller="la").run(3)
+    given(played, "controller lc")
+    empty = partial(dataclasses.replace, factorisations=())
+
+    def deliver(answer):
+        message = played.codec.decode_factorisations(answer)
+        return [played.codec.encode_factorisations(empty(message))]
+
+    played.run(5, deliver=deliver)
+    assert isinstance(played.robot.controller, LocallyAssisted)
 
 
 def test_a_controller_that_was_prepared_in_vain_ends_its_computer(bench, monkeypatch):
