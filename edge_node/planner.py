@@ -235,9 +235,12 @@ class PathPlanner:
         """
         if self._renewed:
             self._renewed, self._until_ns = False, now_ns + DRIVE_NS
-        elif self._until_ns is not None and now_ns > self._until_ns:
-            self.velocity, self._until_ns = Velocity(), None
-            return True
+        elif self._until_ns is not None:
+            if now_ns > self._until_ns:
+                self.velocity, self._until_ns = Velocity(), None
+                return True
+            # One state with a wrong time must not let the velocity hold for ever.
+            self._until_ns = min(self._until_ns, now_ns + DRIVE_NS)
         return False
 
     def _advance(self, report: StepReport) -> tuple[tuple[float, float, float], int]:

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections import Counter
 
-from edge_node.limits import StateLimits
 from edge_node.posture import PostureEstimate
 from edge_node.refresh import FactorisationRefresh
 from edge_node.step_planning import StepDelivery
 from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
 from shared.robots import Robot
+from shared.robots.state_limits import StateLimits
 from shared.wbc.contacts import ContactMode
 from shared.wbc.continuity import continues
 from shared.wbc.reference import Motion

@@ -115,7 +115,10 @@ class StepDelivery:
         if lacks_law and now_ns - self._law_sent_ns >= self._retry_ns:
             self._law_sent_ns = now_ns
             return planning.law
-        lacking = steps.plan < self._number
+        # No robot has had more plans than it has sent states. A larger number would go into every
+        # later plan, and the robot would refuse them all.
+        reported = min(steps.plan, state.sequence)
+        lacking = reported < self._number
         if not lacking and not self._arrived:
             self._arrived, self._round_trip_ns = True, now_ns - self._sent_ns
         retry_ns = max(self._retry_ns, 1.2 * self._round_trip_ns)
@@ -125,7 +128,7 @@ class StepDelivery:
         if not due and not lacking:
             return None
         self._steered = steered
-        number = max(steps.plan, self._number) + 1
+        number = max(reported, self._number) + 1
         plan = planner.plan(state, com=_com(state, model), number=number)
         if plan is not None:
             self._sent_ns, self._number, self._planned_phase = now_ns, number, steps.phase

@@ -104,7 +104,10 @@ class Controller(ABC):
         return False
 
     def observe(self, q: np.ndarray, v: np.ndarray, reference: Reference) -> None:  # noqa: B027
-        """First phase of a tick: compute the terms that do not need the tick's answer."""
+        """First phase of a tick: compute the terms that do not need the tick's answer.
+
+        (q, v) are finite. A tick without such a measurement calls neither phase.
+        """
 
     @abstractmethod
     def command(self, *, time_ns: int) -> Decision | None:

@@ -6,7 +6,8 @@ here, else the newest answer in the cache, else the joint hold. `advance` then e
 moves the simulated robot. `robot_node/tick.py` drives them.
 
 The task time begins when the first answer arrives. Until then the robot stands still and sends. A
-tick never raises: errors are counted by name.
+tick never raises: errors are counted by name. A measurement that is not a number gives a joint
+hold, and no estimate is made from it, because a NaN would stay in every average.
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ from shared.robots.fallen import has_fallen
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import Schema, Source, tick_schema
 from shared.wbc.contacts import ContactMode
+from shared.wbc.finite import all_finite
 from shared.wbc.limits import Limits
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference
@@ -133,7 +135,8 @@ class RobotNode:
         self._q_in_world: np.ndarray
         self._q: np.ndarray
         self._v: np.ndarray
-        self._reference: Reference
+        self._known = False
+        self._reference = motion.reference(0)
 
     @property
     def controller(self) -> Controller:
@@ -196,12 +199,14 @@ class RobotNode:
         self._plan_ns = self.time_ns + self._plan.skipped_ns
         q = self._plan_frame.in_plan(self._q_in_world)
         self._q, self._v = q, v
+        self._known = all_finite(q) and all_finite(v)
         forces: dict[Foot, np.ndarray] = {}
         if self._config.sensors.measure_forces or self.clock is not None:
             forces = self._sensors.forces(self._plant.contact_forces())
             self._contact_force = np.concatenate([forces[foot] for foot in Foot])
-        self._reference = self._next_reference(forces)
-        self.controller.observe(q, v, self._reference)
+        if self._known:
+            self._reference = self._next_reference(forces)
+            self.controller.observe(q, v, self._reference)
         self._measured_ns = now_ns
         self._sent.add(self.tick, stamp_ns=now_ns, q=q, v=v)
         return self._codec.encode_state(
@@ -258,6 +263,8 @@ class RobotNode:
 
     def command(self, now_ns: int) -> Command:
         """Second phase: the torque of this tick, Eq. (7)."""
+        if not self._known:
+            return self._held(age_ns=-1)
         self._solve_on_board()
         decision = self.controller.command(time_ns=self._plan_ns)
         if decision is None:
@@ -374,7 +381,7 @@ class RobotNode:
         return self._torque_rate_limiter.bound(tau, changed=changed)
 
     def _held(self, *, age_ns: int) -> Command:
-        if self.running:
+        if self.running and self._known:
             self._plan.hold(
                 self._q_in_world,
                 self._motion,

@@ -124,6 +124,9 @@ class JointHold:
         torque: np.ndarray = (
             self._bearing + self._stiffness * (posture - q[7:]) - self._damping * v[6:]
         )
+        # A joint without a measurement gets the torque that bears the standing robot.
+        if not all_finite(torque):
+            torque = np.where(np.isfinite(torque), torque, self._bearing)
         return torque
 
 

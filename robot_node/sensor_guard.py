@@ -3,7 +3,8 @@
 From one tick to the next a position changes as the velocity says. Any other sample, or one that is
 not a number, is a fault of that sensor, and the last position and velocity are held over. Each
 joint is a sensor, and so is the base. After 50 ms a lasting fault is passed on, because a
-prediction is of no more use then. The robot's ladder then decides.
+prediction is of no more use then. A value that no robot can have is passed on as NaN, until one
+comes that a robot can have. The robot's ladder then decides.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from shared.config.settings import SensorConfig
 from shared.robots import Robot
+from shared.robots.state_limits import StateLimits
 from shared.wbc.continuity import continues
 
 HELD_OVER_TICKS = 50
@@ -31,6 +33,7 @@ class SensorGuard:
     def __init__(self, robot: Robot, config: SensorConfig, *, period_ns: int) -> None:
         self.faults: Counter[str] = Counter()
         self._period = period_ns * 1e-9
+        self._limits = StateLimits(robot)
         self._names = (BASE, *robot.model.names[2:])
         noise = config.joint_position_noise + self._period * config.joint_velocity_noise
         self._jump = _JUMP + _NOISE * noise
@@ -60,10 +63,10 @@ class SensorGuard:
         self, q: np.ndarray, v: np.ndarray, last: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         explained = continues(last, q, v, seconds=self._period, jump=self._jump)
-        # After a NaN that was passed on, any number is accepted.
-        known, number = np.isfinite(last), np.isfinite(q)
-        explained[0] |= bool(number[:7].all() and np.isfinite(v[:6]).all() and not known[:7].all())
-        explained[1:] |= ~known[7:] & number[7:] & np.isfinite(v[6:])
+        # After a NaN that was passed on, any value that the robot can have is accepted.
+        known, possible = np.isfinite(last), self._limits.possible(q, v)
+        explained[0] |= possible[0] and not known[:7].all()
+        explained[1:] |= possible[1:] & ~known[7:]
         self._faulty = True
         self._ticks[explained] = 0
         self._ticks[~explained] += 1
@@ -76,4 +79,6 @@ class SensorGuard:
                 joint = 5 + sensor
                 v[joint] = self._v[joint]
                 q[joint + 1] = last[joint + 1] + self._period * v[joint]
+        for sensor in np.flatnonzero(~explained & ~possible & (self._ticks > HELD_OVER_TICKS)):
+            q[slice(7) if sensor == 0 else 6 + sensor] = np.nan
         return q, v

@@ -45,6 +45,9 @@ _SAME_FOOT = 0.25
 # The longest wait of a planned step [s] for a DCM that is further than this from its planned place
 # [m].
 _WAITS, _NEAR = 0.3, 0.02
+# The longest step of time in which the CoM follows its references [s]. After ticks without a
+# measurement more has passed.
+_LONGEST = 0.05
 # Rate at which the height of the CoM follows that of the feet [1/s].
 _LEVELLING = 6.0
 
@@ -186,7 +189,8 @@ class ContactClock:
         swing = self._swing
         assert swing is not None
         may_land = time - swing.begin >= _MAY_LAND * (swing.path.end - swing.begin)
-        if not may_land or forces[swing.foot][2] < self._config.landing_force:
+        # A force that is NaN is no touch.
+        if not (may_land and forces[swing.foot][2] >= self._config.landing_force):
             return False
         placement = now.sole_placement(swing.foot)
         above = float(placement.translation[2]) - swing.path.goal.z
@@ -309,7 +313,7 @@ class ContactClock:
         # The CoM follows its DCM.
         if self._com is None or (swing is not None and swing.cop is not None):
             self._com = np.array(now.com[:2])
-        elapsed, self._last_time = time - self._last_time, time
+        elapsed, self._last_time = min(time - self._last_time, _LONGEST), time
         self._com += elapsed * self._omega * (dcm_ref - self._com)
         com, velocity, acceleration = np.zeros((3, 3))
         com[:2] = self._com

@@ -29,6 +29,9 @@ from shared.wbc.reference import Reference
 _GRAVITY = 9.81
 # The support is computed again when a sole has moved by this distance [m].
 _MOVED = 2e-3
+# The largest force of an estimate, as an acceleration of the robot's mass [m/s²]. A larger one is
+# from a fall or a fault, and would last long after it. Robots that stand have up to 6.
+_STRONGEST = _GRAVITY
 # A CoM lower than this over its soles is that of a fallen robot [m].
 _MIN_HEIGHT = 0.1
 
@@ -122,10 +125,12 @@ class BalanceLaw:
                     seen_x -= force_x / self._mass
                     seen_y -= force_y / self._mass
             x, y = self._disturbance
-            self._disturbance = (
-                x + self._share * (seen_x - x),
-                y + self._share * (seen_y - y),
-            )
+            x, y = x + self._share * (seen_x - x), y + self._share * (seen_y - y)
+            size = math.hypot(x, y)
+            if size > _STRONGEST:
+                x, y = x / size * _STRONGEST, y / size * _STRONGEST
+            if math.isfinite(size):
+                self._disturbance = (x, y)
         return self._disturbance
 
 

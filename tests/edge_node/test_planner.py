@@ -23,6 +23,7 @@ from shared.motion.step_law import make_step_law
 from shared.robots import Foot
 from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
+from shared.wire.operator.commands import DRIVE_NS, Drive
 
 DOUBLE = ContactMode.DOUBLE_SUPPORT
 
@@ -153,6 +154,17 @@ def test_a_velocity_gives_steps_and_none_a_stand(robot, walk):
     plan = planner.plan(state(robot), com=at_rest(robot), number=0)
     first, second, *_ = plan.footprints()
     assert second.x - first.x == pytest.approx(0.1)
+
+
+def test_a_state_with_a_wrong_time_does_not_let_a_velocity_hold_for_ever(robot, walk):
+    planner = PathPlanner(robot, walk)
+    planner.steer(Drive(forward=0.2, left=0.0, turning=0.0))
+    assert not planner.expires(2**62)
+    begun_ns = 10**9
+    times = range(begun_ns, begun_ns + DRIVE_NS, 10**8)
+    assert not any(planner.expires(now_ns) for now_ns in times)
+    assert planner.expires(begun_ns + DRIVE_NS + 1)
+    assert planner.velocity == Velocity()
 
 
 def test_feet_that_stand_apart_come_together(robot, walk):

@@ -104,6 +104,18 @@ def test_a_plan_is_sent_once_for_each_phase_and_again_if_it_is_lost(client, plan
     assert following.number == 2
 
 
+def test_a_false_number_of_the_robots_plan_does_not_go_into_later_plans(client, planning):
+    client.law = planning.law_identity
+    client.run(90)
+    client.plan, client.phase = 2**62, 1
+    client.run(20)
+    client.plan, client.phase = 0, 2
+    # A robot refuses a plan with a number above that of the state that it answers.
+    later = client.run(400)
+    assert later
+    assert all(plan.number <= at for at, plan in later)
+
+
 def test_no_more_than_fifty_messages_a_second(client):
     assert len(client.run(1000)) <= 50
 

@@ -135,6 +135,25 @@ def test_a_foot_that_lands_early_bears_at_once(bench, plan):
     assert bench.clock.phase == 2
 
 
+def test_after_a_time_without_measurements_the_reference_does_not_jump(bench):
+    before = bench.run(100)
+    # A sole is known to a millimetre.
+    bench.clock.feet = {
+        foot: dataclasses.replace(each, z=each.z + 1e-3) for foot, each in bench.clock.feet.items()
+    }
+    bench.time_ns += 10_000 * MS
+    after = bench.run(1)
+    np.testing.assert_allclose(after.com, before.com, atol=1e-3)
+    np.testing.assert_allclose(after.com_velocity, 0.0, atol=0.01)
+
+
+def test_a_force_that_is_not_a_number_is_no_touch(bench, plan):
+    bench.clock.take(plan)
+    bench.run(110)
+    bench.force[Foot.RIGHT] = math.nan
+    assert bench.run(300).mode is LEFT
+
+
 @pytest.mark.parametrize(("height", "lands"), [(0.05, True), (0.1, False)])
 def test_a_foot_that_hits_an_edge_far_above_its_goal_has_not_landed(bench, plan, height, lands):
     step = plan.phases[1]

@@ -72,6 +72,16 @@ def bearing(robot):
     return JointHold(robot, timestep=1e-3).torque(robot.q_standing, STILL)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_joint_without_a_measurement_does_not_make_the_others_limp(robot, bearing, value):
+    hold = JointHold(robot, timestep=1e-3)
+    q, v = robot.q_standing.copy(), np.zeros(37)
+    q[12], v[20], q[25] = value, -value, q[25] + 0.01
+    tau = hold.torque(q, v)
+    assert tau[18] != bearing[18]
+    np.testing.assert_array_equal(np.delete(tau, 18), np.delete(bearing, 18))
+
+
 def test_the_torques_of_a_hold_bear_the_standing_robot(robot, model, bearing):
     # With some wrenches on the soles, nothing accelerates: also the base, which has no motor.
     J_sole = model.jacobians(robot.q_standing).J_sole

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from robot_node.sensor_guard import HELD_OVER_TICKS, SensorGuard
 from shared.config.settings import SensorConfig
+from shared.motion.plan import make_motion
+from shared.telemetry.schema import Source
 from tests.robot_node.bench import Bench
 
 MS = 1_000_000
@@ -88,6 +92,21 @@ def test_a_lasting_fault_is_passed_on_after_a_bounded_time(guard, robot, value):
     assert not any(passed[150 + HELD_OVER_TICKS :])
 
 
+@pytest.mark.parametrize(
+    ("place", "speed"), [(KNEE, False), (KNEE - 1, True), (2, False), (3, False), (0, True)]
+)
+def test_a_value_that_no_robot_can_have_is_passed_on_as_nan(guard, robot, place, speed):
+    passed = []
+    for tick, (q, v) in enumerate(moving(robot, 200)):
+        q, v = q.copy(), v.copy()
+        if 30 <= tick < 150:
+            (v if speed else q)[place] = 1e6
+        checked, _ = guard.check(q, v)
+        assert np.nanmax(np.abs(checked)) < 1e3
+        passed.append(bool(np.isnan(checked).any()))
+    assert passed == [30 + HELD_OVER_TICKS <= tick < 150 for tick in range(200)]
+
+
 def test_a_fault_that_comes_back_is_held_over_again(guard, robot):
     for tick, (q, v) in enumerate(moving(robot, 400)):
         measured = q.copy()
@@ -116,6 +135,9 @@ class Faulty:
 
     def restart(self):
         self._sensors.restart()
+
+    def forces(self, forces):
+        return self._sensors.forces(forces)
 
     def measure(self, q, v):
         q, v = self._sensors.measure(q, v)
@@ -147,3 +169,31 @@ def test_a_glitch_of_an_encoder_hardly_moves_a_robot(
     difference = np.abs(faulty.column("q") - clean.column("q")).max()
     assert difference < 0.02
     assert not faulty.edge.refused
+
+
+STEPPING = {
+    "stepping.mode": "on",
+    "wbc.balance.law": "dcm",
+    "wbc.weights.com": 10.0,
+    "correction.refresh_distance": 0.1,
+}
+
+
+@pytest.mark.parametrize("settings", [{"controller": "la"}, {"controller": "lc", **STEPPING}])
+@pytest.mark.parametrize("value", [NAN, 1e6])
+def test_after_a_lasting_fault_the_robot_goes_on_from_what_it_knew(
+    robot, configured, monkeypatch, settings, value
+):
+    """No average keeps the fault: the plan's place, the feet, the external force, the posture."""
+    config = configured(push=[], **settings)
+    bench = Bench(robot, make_motion(robot, config), config)
+    # Longer than the guard holds over and the plan's anchor waits.
+    faults = {tick: [(KNEE, value)] for tick in range(100, 270)}
+    monkeypatch.setattr(bench.robot, "_sensors", Faulty(bench.robot._sensors, faults))
+    bench.run(400)
+    assert not bench.robot.fallen
+    sources = [command.source for command in bench.commands]
+    assert sources[100:270].count(Source.HELD) == 170 - HELD_OVER_TICKS
+    assert Source.HELD not in sources[270:]
+    assert np.isfinite(bench.column("q")).all()
+    assert math.hypot(bench.robot._plan_frame.x, bench.robot._plan_frame.y) < 0.01

@@ -100,3 +100,16 @@ def test_a_small_estimate_is_left_out(robot, model, reference):
     # 0.5 m/s² over ω² of 15 1/s² is 3 cm.
     only_dcm = BalanceConfig(law="dcm", gain=0.0, beyond=10.0, observer_time=0.0)
     np.testing.assert_array_equal(asked, command(robot, model, reference, only_dcm, v=v))
+
+
+@pytest.mark.parametrize("force", [1e6, -1e6, math.nan])
+def test_a_force_that_no_robot_stands_is_soon_forgotten(robot, model, reference, force):
+    """The observer of a robot that has fallen: at most its weight, so at most its height."""
+    config = BalanceConfig(law="dcm")
+    law = BalanceLaw(robot, config, period=1e-3)
+    for tick in range(150):
+        pull = force if tick == 50 else 0.0
+        wrenches = {Foot.LEFT: np.array([pull, 0.0, 400.0, 0.0, 0.0, 0.0])}
+        command(robot, model, reference, config, law=law, wrenches=wrenches)
+        assert np.hypot(*law.disturbance) <= 1.001 * reference.com[2]
+    assert np.hypot(*law._disturbance) < 0.01

@@ -177,7 +177,10 @@ def in_single(projector, **changes):
         "push": projector.open.push,
         "factor": projector.open.factor,
     }
-    rounded = {name: np.float64(np.float32(each)) for name, each in (arrays | changes).items()}
+    rounded = {
+        name: np.asarray(each, np.float32).astype(float)
+        for name, each in (arrays | changes).items()
+    }
     opened = Openness(projector.open.limits, rounded["push"], rounded["factor"])
     return dataclasses.replace(projector, A_dagger=rounded["A_dagger"], open=opened)
 

@@ -1,7 +1,6 @@
 """The states that a robot can be in. Others are faults of a sensor or of a message.
 
-A fall may leave these limits gradually: `Sessions` accepts a state to which the earlier states
-lead.
+A fall may leave these limits gradually, so a state to which the earlier states lead is no fault.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from shared.errors import MessageRefused
-from shared.robots import Robot
+from shared.robots.description import Robot
 
 # Beyond the range of the URDF [rad]. A falling robot without joint stops is up to 1.4 rad beyond.
 _MARGIN = 0.5 * np.pi
@@ -38,10 +37,22 @@ class StateLimits:
         low[model.nq :], high[model.nq :] = -fastest, fastest
         self._low, self._high = low, high
 
+    def possible(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return whether the base and each joint can be at q (nq,) and move by v (nv,).
+
+        Truth values (1 + n_joints,). A value that is NaN is false.
+        """
+        state = np.concatenate((q, v))
+        within = (self._low <= state) & (state <= self._high)
+        positions, rates = within[: len(q)], within[len(q) :]
+        possible = np.empty(len(q) - 6, dtype=bool)
+        possible[0] = _is_unit(q[3:7]) and positions[:7].all() and rates[:6].all()
+        possible[1:] = positions[7:] & rates[6:]
+        return possible
+
     def check(self, q: np.ndarray, v: np.ndarray) -> None:
         """Raise `MessageRefused` if no robot of this kind can be at q (nq,) and move by v (nv,)."""
-        turn = q[3:7]
-        if abs(float(turn.dot(turn)) - 1.0) > _UNIT:
+        if not _is_unit(q[3:7]):
             raise MessageRefused("limits", "the base's quaternion is not of unit length")
         state = np.concatenate((q, v))
         outside = (state < self._low) | (state > self._high)
@@ -62,3 +73,7 @@ class StateLimits:
         ):
             if part.dot(part) > fastest**2:
                 raise MessageRefused("limits", f"the base moves by {np.abs(part).max():.3g} {unit}")
+
+
+def _is_unit(quaternion: np.ndarray) -> bool:
+    return bool(abs(quaternion.dot(quaternion) - 1.0) <= _UNIT)
