@@ -16,6 +16,9 @@ COMMANDS = (
         "core", "time of each part of a tick; or ratios to another commit", "benchmarks.commands"
     ),
     Subcommand(
+        "edges", "two robots on one edge, or two edges of which one dies", "benchmarks.commands"
+    ),
+    Subcommand(
         "faults", "play faults and check the promises about them", "benchmarks.faults.campaign"
     ),
     Subcommand("flood", "effect of a flood of commands on the robot", "benchmarks.commands"),

@@ -9,6 +9,7 @@ from benchmarks import (
     against,
     capacity,
     core,
+    edges,
     flood,
     floor,
     limits,
@@ -64,6 +65,37 @@ def run_core(arguments: argparse.Namespace) -> int:
                 seconds=arguments.seconds,
             )
         )
+    return EXIT_STANDING
+
+
+def add_edges_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = edges.__doc__
+    parser.add_argument("trial", choices=("flood", "kills"), help="what happens to the edges")
+    parser.add_argument(
+        "--minutes", type=float, default=10.0, help="duration [min] (default %(default)g)"
+    )
+    parser.add_argument(
+        "--controller", choices=("la", "lc"), default="la", help="of kills (default %(default)s)"
+    )
+    parser.add_argument(
+        "--rate",
+        type=int,
+        default=edges.RATE,
+        help="higher rate of the other robot of flood [1/s] (default %(default)s)",
+    )
+
+
+def run_edges(arguments: argparse.Namespace) -> int:
+    if not 0.2 <= arguments.minutes <= 600.0:
+        raise ConfigError(f"--minutes: expected 0.2 to 600, got {arguments.minutes:g}")
+    if not 1000 <= arguments.rate <= 1_000_000:
+        raise ConfigError(f"--rate: expected 1000 to 1000000, got {arguments.rate}")
+    exit_at_termination()
+    seconds = 60.0 * arguments.minutes
+    if arguments.trial == "flood":
+        print(edges.run_flood(seconds=seconds, rate=arguments.rate))
+    else:
+        print(edges.run_kills(seconds=seconds, controller=arguments.controller))
     return EXIT_STANDING
 
 
