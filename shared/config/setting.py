@@ -18,6 +18,9 @@ from shared.errors import ConfigError, one_of
 from shared.extensions import Names
 
 _METADATA = "setting"
+# The largest real number of a setting without a bound of its own: squares of much larger ones are
+# no numbers.
+_LARGEST = 1e6
 _HOLDS = {"≥": operator.ge, "≤": operator.le, "<": operator.lt}
 
 _T = TypeVar("_T")
@@ -77,14 +80,24 @@ class Setting:
         elif self.words and value not in self.words:
             raise ConfigError(f"{key}: {one_of(self.words, value)}")
         if self.kind in (int, float) and not self._holds(value):
-            within = " and ".join(f"{sign} {bound:g}" for sign, bound in self.bounds)
+            within = " and ".join(f"{sign} {bound:g}" for sign, bound in self._limits)
             raise ConfigError(
                 f"{key}: expected a number {within or 'that is finite'}, got {value!r}"
             )
 
     def _holds(self, number: float) -> bool:
         finite = math.isfinite(number) or (self.may_be_infinite and not math.isnan(number))
-        return finite and all(_HOLDS[sign](number, bound) for sign, bound in self.bounds)
+        return finite and all(_HOLDS[sign](number, bound) for sign, bound in self._limits)
+
+    @property
+    def _limits(self) -> list[tuple[str, float]]:
+        """The bounds, and those of every real number."""
+        limits = self.bounds
+        if self.kind is float and not self.may_be_infinite:
+            signs = [sign for sign, _ in limits]
+            limits = [*([] if "≥" in signs else [("≥", -_LARGEST)]), *limits]
+            limits += [] if "≤" in signs or "<" in signs else [("≤", _LARGEST)]
+        return limits
 
 
 def setting(default: _T, *, help: str, **known: Any) -> _T:

@@ -34,6 +34,8 @@ WALKS = ("walk", "go")
 CORRECTION_LEVELS = ("b", "b_adjoint", "c")
 
 _PUSH = "100N@1.0s:0.2s:+y"
+# The least time of a step on one foot [s].
+_LEAST_SWING = 0.1
 
 
 @dataclass(frozen=True)
@@ -331,19 +333,29 @@ class WalkConfig:
         flag="--step-width",
     )
     step_duration: float = setting(
-        0.8, help="duration of a step", unit="s", at_least=0.2, flag="--step-duration"
+        0.8,
+        help="duration of a step",
+        unit="s",
+        at_least=0.2,
+        at_most=10.0,
+        flag="--step-duration",
     )
     double_support: float = setting(
-        0.02, help="time of a step on both feet", unit="s", at_least=1e-3, flag="--double-support"
+        0.02,
+        help="time of a step on both feet",
+        unit="s",
+        at_least=1e-3,
+        at_most=10.0,
+        flag="--double-support",
     )
     swing_height: float = setting(
         0.05, help="height of the swing foot", unit="m", at_least=0.0, flag="--swing-height"
     )
     begin_duration: float = setting(
-        1.0, help="time on both feet before the first step", unit="s", at_least=0.5
+        1.0, help="time on both feet before the first step", unit="s", at_least=0.5, at_most=60.0
     )
     end_duration: float = setting(
-        2.0, help="time on both feet after the last step", unit="s", at_least=0.5
+        2.0, help="time on both feet after the last step", unit="s", at_least=0.5, at_most=60.0
     )
     com_plan: str = setting(
         "dcm", help="planner of the CoM", choices=("dcm", "mpc"), flag="--com-plan"
@@ -392,7 +404,7 @@ class SteppingConfig:
         flag="--stepping",
     )
     ahead: float = setting(
-        0.06, help="time ahead for which the DCM is predicted", unit="s", at_least=0.0
+        0.06, help="time ahead for which the DCM is predicted", unit="s", at_least=0.0, at_most=1.0
     )
     beyond_sideways: float = setting(
         0.05,
@@ -588,6 +600,12 @@ class RunConfig:
             raise ConfigError(
                 "loop.fresh_within_ns: expected a deadline inside the period, "
                 f"0 < d* < {self.loop.period_ns}, got {self.loop.fresh_within_ns}"
+            )
+        longest = self.walk.step_duration - _LEAST_SWING
+        if self.walks and self.walk.double_support > longest:
+            raise ConfigError(
+                f"walk.double_support: expected at most {longest:g} s, {_LEAST_SWING:g} s less "
+                f"than walk.step_duration, got {self.walk.double_support:g}; try longer steps"
             )
         if self.walks and self.wire.projector_dtype == "float64":
             raise ConfigError(

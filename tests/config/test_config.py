@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from shared.config.config_file import dump_config, load_config
 from shared.config.quantities import parse_duration_ns, parse_goal, parse_outage, parse_push
 from shared.config.settings import (
+    SETTINGS,
     Gains,
     LinkConfig,
     RobotConfig,
@@ -506,3 +507,17 @@ def test_both_ends_must_agree_on_steps():
     settings = {**as_on, "weights": {"com": 100.0, "swing_foot": 10.0}}
     assert on.digest != load_config(None, {"wbc": settings}).digest
     assert load_config(None, {**STEPPING, "stepping.ahead": 0.1}).digest != on.digest
+
+
+@pytest.mark.parametrize("double_support", [0.71, 0.8, 0.9])
+def test_a_step_has_time_on_one_foot(double_support):
+    message = refusal(task="walk", walk__double_support=double_support)
+    assert message.startswith("walk.double_support: expected at most 0.7 s")
+    assert load_config(None, {"task": "walk", "walk.double_support": 0.7}).walks
+
+
+def test_no_real_number_is_so_large_that_its_square_is_none():
+    for key, each in SETTINGS.items():
+        if each.kind is float and not each.may_be_infinite:
+            with pytest.raises(ConfigError, match=f"^{key}: expected a number"):
+                load_config(None, {key: 1e300})
