@@ -1,7 +1,7 @@
 """A robot that stands still and sends its state at several rates in turn, as a process.
 
 Each message is a new state, by its number and its time, for an edge that serves LA. The process has
-the lowest priority, because another robot would have a computer of its own. It prints READY, and
+the lowest priority, because another robot would have another computer. It prints READY, and
 `RATE time rate sent` at each change: the machine's monotonic clock [ns], the new rate [1/s], and
 the number of messages so far. SIGTERM ends it.
 """

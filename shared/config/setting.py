@@ -18,8 +18,8 @@ from shared.errors import ConfigError, one_of
 from shared.extensions import Names
 
 _METADATA = "setting"
-# The largest real number of a setting without a bound of its own: squares of much larger ones are
-# no numbers.
+# The largest real number of a setting that gives no bound. The square of a much larger one
+# overflows.
 _LARGEST = 1e6
 _HOLDS = {"≥": operator.ge, "≤": operator.le, "<": operator.lt}
 
