@@ -37,6 +37,11 @@ class Parser(argparse.ArgumentParser):
         print(f"{self.prog}: error: {self._explained(message)} (try --help)", file=sys.stderr)
         raise SystemExit(EXIT_ERROR)
 
+    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
+        """Exit after a help or a version. Raise `OSError` if it could not be printed."""
+        sys.stdout.flush()
+        super().exit(status, message)
+
     def _explained(self, message: str) -> str:
         choice = _INVALID_CHOICE.search(message)
         if choice is not None:

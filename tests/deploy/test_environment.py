@@ -22,8 +22,9 @@ FOREIGN = ("shared", "deploy", "numpy", "pinocchio", "zenoh")
 COMMANDS = {
     "ps": [str(ROOT / "deploy/ps"), "--name", "nobody-of-this-name"],
     "trial": [sys.executable, "-m", "experiments", "trial", "--duration", "0.01", "--push", "none"],
+    "help": [str(ROOT / "deploy/ps"), "--help"],
 }
-TELLS = {"ps": "nothing is running", "trial": "Stands after 0.01 s"}
+TELLS = {"ps": "nothing is running", "trial": "Stands after 0.01 s", "help": "usage: "}
 
 
 @pytest.fixture
