@@ -8,22 +8,20 @@ import numpy as np
 
 from edge_node.planner import PathPlanner, Planner, make_planner
 from shared.config.settings import RunConfig
-from shared.motion.ground import Ground, make_ground
+from shared.motion.ground import make_ground
 from shared.motion.planned import Plan
 from shared.motion.stance import Stance, middle
 from shared.motion.standing import Standing
-from shared.motion.step_law import NoGo, StepLaw, make_step_law
+from shared.motion.step_law import StepLaw, make_step_law
 from shared.robots import Robot
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Reference, turned
 from shared.wire.messages import RobotState
 from shared.wire.operator.commands import EdgeCommand
-from shared.wire.plans import MAX_NO_GO, as_sent, law_identity
+from shared.wire.plans import as_sent, law_identity
 
 # The least time between two plans, because the key of plans has 50 Hz.
 _INTERVAL_NS = 20_000_000
-# A higher step of the ground is an edge [m].
-_EDGE = 0.01
 
 
 class StepPlanning:
@@ -31,9 +29,8 @@ class StepPlanning:
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
         stance = Stance.of(robot, lowering=config.walk.com_lowering)
-        law = make_step_law(robot, stance)
         ground = make_ground(config.ground, seed=config.seed)
-        self.law: StepLaw = as_sent(dataclasses.replace(law, no_go=edges(robot, ground)))
+        self.law: StepLaw = as_sent(make_step_law(robot, stance, ground))
         self.law_identity = law_identity(self.law)
         self.planner: Planner = make_planner(robot, config, self.law)
         self._path = PathPlanner(robot, config)
@@ -66,29 +63,6 @@ class StepPlanning:
             mode=state.mode,
             swing=steps.swing,
         )
-
-
-def edges(robot: Robot, ground: Ground) -> tuple[NoGo, ...]:
-    """Return the places where a sole that points along x would be on an edge of the ground, or in a
-    hole.
-
-    If there are more than a law can have, the ones nearest to the origin are returned.
-    """
-    sole = robot.soles[0]
-    back, front = sole.x
-    aside = max(abs(y) for y in sole.y)
-    boxes = []
-    for patch in ground.patches:
-        (x_0, x_1), (y_0, y_1) = patch.x, patch.y
-        if not patch.allowed:
-            boxes.append(NoGo((x_0 - front, x_1 - back), (y_0 - aside, y_1 + aside)))
-            continue
-        middle = (y_0 + y_1) / 2
-        for x in (x_0, x_1):
-            if abs(ground.height(x - 1e-6, middle) - ground.height(x + 1e-6, middle)) > _EDGE:
-                boxes.append(NoGo((x - front, x - back), (y_0 - aside, y_1 + aside)))
-    distinct = sorted(set(boxes), key=lambda box: (abs(sum(box.x)) + abs(sum(box.y)), box.x))
-    return tuple(distinct[:MAX_NO_GO])
 
 
 class StepDelivery:

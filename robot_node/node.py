@@ -439,7 +439,13 @@ class RobotNode:
             return None, None
         clock = ContactClock(self._model.robot, self._config)
         whole = self._config.stepping.mode == "on"
-        plans = PlanCache(self._codec, self._model.robot, clock, session=session, whole_plans=whole)
+        ground = make_ground(self._config.ground, seed=self._config.seed)
+        plans = PlanCache(
+            *(self._codec, self._model.robot, clock),
+            session=session,
+            ground=ground,
+            whole_plans=whole,
+        )
         return clock, plans
 
     def _model_computer(self, make_solve: MakeSolve) -> OnBoardComputer:

@@ -13,7 +13,7 @@ from benchmarks.faults.cases import Parameters
 from benchmarks.faults.hostile import ANY, HUGE, Change, Drawn, choose
 from shared.motion.footprint import Footprint
 from shared.motion.planned import Plan, PlannedPhase
-from shared.motion.step_law import StepLaw
+from shared.motion.step_law import NoGo, StepLaw
 from shared.wire.codec import Codec
 from shared.wire.messages import PlanMessage
 from shared.wire.plans import PlanCodec
@@ -124,6 +124,14 @@ def _law(*names: str) -> Change:
     return _changed(changed)
 
 
+def _boxes(message: PlanMessage, by: float, rng: np.random.Generator) -> PlanMessage:
+    """Forbid every foothold within a distance [m] of the origin."""
+    del rng
+    assert isinstance(message.content, StepLaw)
+    content = dataclasses.replace(message.content, no_go=(NoGo((-by, by), (-by, by)),))
+    return dataclasses.replace(message, content=content)
+
+
 def _damaged(data: bytes, codec: Codec, given: Parameters, rng: np.random.Generator) -> list[bytes]:
     """Return copies of a message, each of them damaged in one of the ways of `ANY`."""
     ways = [*ANY.values()]
@@ -160,10 +168,13 @@ TO_PLANS: dict[str, tuple[Drawn, Change]] = {
 TO_LAW: dict[str, tuple[Drawn, Change]] = {
     "grids": (
         choose(0.5, 0.9, 1.1, 1e6),
-        _law("footholds_x", "footholds_y", "cops_x", "cops_y", "times", "offsets"),
+        _law(
+            *("footholds_x", "footholds_y", "cops_x", "cops_y", "cop_nominal", "times", "offsets")
+        ),
     ),
+    "boxes": (choose(0.1, 9.0), _changed(_boxes)),
     "values": (
-        choose(0.0, -1.0, 0.5, 100.0),
+        choose(0.0, -1.0, 0.5, 1.1, 1.9, 100.0),
         _law("values_x", "values_y", "going_on_x", "going_on_y"),
     ),
 }

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shared.motion.ground import Ground
 from shared.motion.stance import Stance
 from shared.motion.swing import PEAK_SAMPLES, peak_gains
 from shared.robots import Foot, Robot
@@ -45,6 +46,9 @@ _COP_SHARE = 0.72
 _CAPTURE_MARGIN = 0.015
 _CENTRE_PRICE = 4.0
 _STEPS_AHEAD = 2
+# A higher step of the ground is an edge [m]. A message has room for this number of boxes.
+_EDGE = 0.01
+MAX_NO_GO = 16
 _N_FOOTHOLDS, _N_COPS, _N_OFFSETS, _FARTHEST = 33, 7, 81, 1.2
 
 
@@ -117,8 +121,8 @@ class StepChoice:
     cost: float
 
 
-def make_step_law(robot: Robot, stance: Stance) -> StepLaw:
-    """Make the tables for a robot that rests in a stance."""
+def make_step_law(robot: Robot, stance: Stance, ground: Ground | None = None) -> StepLaw:
+    """Make the tables for a robot that rests in a stance, and the boxes of a ground."""
     width = stance.width
     sole = next(each for each in robot.soles if each.side is Foot.RIGHT)
     omega = stance.omega
@@ -154,6 +158,7 @@ def make_step_law(robot: Robot, stance: Stance) -> StepLaw:
         values_y=values_y,
         going_on_x=going_on_x,
         going_on_y=going_on_y,
+        no_go=() if ground is None else ground_edges(robot, ground),
     )
 
 
@@ -307,3 +312,26 @@ def _vertex(grid: np.ndarray, values: np.ndarray, k: int) -> float:
         return float(grid[k])
     shift = 0.5 * (before - after) / bend
     return float(grid[k] + min(0.5, max(-0.5, shift)) * (grid[1] - grid[0]))
+
+
+def ground_edges(robot: Robot, ground: Ground) -> tuple[NoGo, ...]:
+    """Return the places where a sole that points along x would be on an edge of the ground, or in a
+    hole.
+
+    If there are more than a law can have, the ones nearest to the origin are returned.
+    """
+    sole = robot.soles[0]
+    back, front = sole.x
+    aside = max(abs(y) for y in sole.y)
+    boxes = []
+    for patch in ground.patches:
+        (x_0, x_1), (y_0, y_1) = patch.x, patch.y
+        if not patch.allowed:
+            boxes.append(NoGo((x_0 - front, x_1 - back), (y_0 - aside, y_1 + aside)))
+            continue
+        middle = (y_0 + y_1) / 2
+        for x in (x_0, x_1):
+            if abs(ground.height(x - 1e-6, middle) - ground.height(x + 1e-6, middle)) > _EDGE:
+                boxes.append(NoGo((x - front, x - back), (y_0 - aside, y_1 + aside)))
+    distinct = sorted(set(boxes), key=lambda box: (abs(sum(box.x)) + abs(sum(box.y)), box.x))
+    return tuple(distinct[:MAX_NO_GO])

@@ -15,7 +15,7 @@ import numpy as np
 from shared.errors import MessageRefused
 from shared.motion.footprint import Footprint
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin
-from shared.motion.step_law import NoGo, StepLaw
+from shared.motion.step_law import MAX_NO_GO, NoGo, StepLaw
 from shared.robots import Foot
 from shared.wbc.contacts import ContactMode
 from shared.wire.channels import PLANS
@@ -25,7 +25,6 @@ from shared.wire.messages import PlanMessage
 
 _PLAN, _LAW = "step_plan", "step_law"
 MAX_PHASES = 40
-MAX_NO_GO = 16
 _SINGLE = np.dtype("<f4")
 # Arrays of a law, with the lengths that they share.
 _ARRAYS = {

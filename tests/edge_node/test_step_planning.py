@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from edge_node.node import EdgeNode
-from edge_node.step_planning import StepDelivery, StepPlanning, edges
+from edge_node.step_planning import StepDelivery, StepPlanning
 from shared.motion.footsteps import standing_footprints
 from shared.motion.ground import make_ground
 from shared.motion.planned import Plan
 from shared.motion.standing import Standing
-from shared.motion.step_law import StepLaw
+from shared.motion.step_law import StepLaw, ground_edges
 from shared.robots import Foot
 from shared.wbc.contacts import ContactMode
 from shared.wire.codec import Codec
@@ -162,10 +162,9 @@ def test_a_state_keeps_its_report_on_the_wire(robot, walk):
 
 def test_a_sole_may_not_be_set_on_an_edge_or_in_a_hole(robot):
     """Romeo's sole reaches 12 cm ahead and 7.35 cm back; stairs begin 0.2 m ahead, a gap 0.35 m."""
-    first = edges(robot, make_ground("stairs:3x6cm", seed=0))[0]
+    first = ground_edges(robot, make_ground("stairs:3x6cm", seed=0))[0]
     assert first.x == pytest.approx((0.2 - 0.12, 0.2 + 0.0735))
-    (gap,) = (
-        box for box in edges(robot, make_ground("gap:10cm", seed=0)) if box.x[1] - box.x[0] > 0.25
-    )
+    boxes = ground_edges(robot, make_ground("gap:10cm", seed=0))
+    (gap,) = (box for box in boxes if box.x[1] - box.x[0] > 0.25)
     assert gap.x == pytest.approx((0.35 - 0.12, 0.45 + 0.0735))
-    assert edges(robot, make_ground("flat", seed=0)) == ()
+    assert ground_edges(robot, make_ground("flat", seed=0)) == ()

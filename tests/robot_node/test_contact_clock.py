@@ -228,14 +228,14 @@ def test_after_the_last_step_of_a_plan_the_robot_stands(bench, plan):
     assert bench.clock.mode is DOUBLE
 
 
-def test_a_robot_that_begins_anew_has_neither_plan_nor_law(robot, config, motion):
+def test_a_robot_that_begins_anew_has_no_plan_and_its_own_law(robot, config, motion):
     node = RobotNode(robot, config, motion, session=1)
     node.clock.phase = 3
-    node.clock.law = make_step_law(robot, Stance.of(robot))
+    node.clock.law = None
     node.plans.refused["stale"] += 1
     node.prepare(Reset())()
     assert node.clock.phase == 0
-    assert node.clock.law is None
+    assert node.clock.law is not None
     assert node.refused["stale"] == 1
 
 

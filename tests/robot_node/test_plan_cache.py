@@ -12,10 +12,11 @@ import pytest
 from robot_node.plan_cache import PlanCache
 from robot_node.sent_states import SentStates
 from robot_node.stepping import ContactClock
+from shared.motion.ground import make_ground
 from shared.motion.planned import Plan, PlannedPhase, PlanOrigin
 from shared.motion.stance import Stance
 from shared.motion.standing import Standing
-from shared.motion.step_law import make_step_law
+from shared.motion.step_law import NoGo, make_step_law
 from shared.robots import Foot
 from shared.wbc.contacts import ContactMode
 from shared.wire.codec import Codec
@@ -32,7 +33,8 @@ class Bench:
     def __init__(self, robot, config):
         codec = Codec(robot, config, Standing(robot))
         self.clock = ContactClock(robot, config)
-        self.cache = PlanCache(codec, robot, self.clock, session=SESSION)
+        ground = make_ground(config.ground, seed=config.seed)
+        self.cache = PlanCache(codec, robot, self.clock, session=SESSION, ground=ground)
         self.codec = PlanCodec(codec)
         self.sent = SentStates(robot.model.nv - 6)
         v = np.zeros(robot.model.nv)
@@ -87,7 +89,7 @@ def refusal(bench):
 
 
 def untouched(bench):
-    return bench.clock.plan is None and bench.clock.law is None
+    return bench.clock.plan is None and bench.cache.law == 0
 
 
 def test_a_plan_for_the_present_phase_is_followed(bench, plan):
@@ -101,6 +103,11 @@ def test_a_law_is_held_and_reported(bench, law):
     assert bench.offer(law)
     assert bench.cache.law == law_identity(law)
     assert bench.clock.law is not None
+
+
+def test_a_robot_without_a_law_of_the_edge_steps_by_its_own(bench, law):
+    assert bench.cache.law == 0
+    assert law_identity(bench.clock.law) == law_identity(law)
 
 
 @pytest.mark.parametrize(
@@ -204,12 +211,34 @@ def test_only_a_newer_plan_replaces_another(bench, plan):
         (lambda law: {"values_x": law.values_x[::-1].copy()}, "values"),
         (lambda law: {"values_y": law.values_y.max() - law.values_y}, "values"),
         (lambda law: {"going_on_y": law.going_on_y + 1e6}, "values"),
+        (lambda law: {"values_x": 1.01 * law.values_x}, "values"),
+        # Every foothold would be forbidden, and no step found under a push.
+        (lambda law: {"no_go": (NoGo((-9.0, 9.0), (-9.0, 9.0)),)}, "reach"),
+        (lambda law: {"cop_nominal": law.cop_nominal + 1e6}, "reach"),
+        # The ends of the grid stay.
+        (lambda law: {"footholds_x": law.footholds_x**3 / law.footholds_x[-1] ** 2}, "reach"),
     ],
 )
-def test_a_law_that_is_not_near_the_robots_own_is_refused(bench, law, change, reason):
+def test_a_law_that_is_not_the_robots_own_is_refused(bench, law, change, reason):
     assert not bench.offer(dataclasses.replace(law, **change(law)))
     assert refusal(bench) == reason
     assert untouched(bench)
+
+
+def test_a_law_for_the_ground_that_both_ends_know_is_taken(robot, configured):
+    config = configured(
+        **{
+            "task": "go",
+            "wire.projector_dtype": "float32",
+            "stepping.mode": "on",
+            "wbc.balance.law": "dcm",
+            "ground": "stairs:3x6cm",
+        }
+    )
+    bench = Bench(robot, config)
+    ground = make_ground("stairs:3x6cm", seed=config.seed)
+    assert bench.offer(as_sent(make_step_law(robot, bench.clock.stance, ground)))
+    assert not bench.offer(as_sent(make_step_law(robot, bench.clock.stance)))
 
 
 def test_no_mutation_of_a_plan_takes_a_foot_out_of_reach(bench, plan, law):
