@@ -35,6 +35,7 @@ from benchmarks.faults.stacks import (
 )
 from benchmarks.link_paths import free_endpoints
 from benchmarks.real_path.namespaces import two_machines
+from deploy.keys import make
 from shared.errors import UserError
 from shared.process.cli import EXIT_FELL, EXIT_STANDING
 from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, python
@@ -210,19 +211,28 @@ def _partition(them: Stacks, given: Parameters) -> Outcome:
         # Before the machines are removed.
         stack.callback(them.end)
         endpoint = f"tcp/{machines.edge.address}:7460"
+        secure: tuple[str, ...] = ()
+        if given["secure"]:
+            endpoint, secure = endpoint.replace("tcp/", "tls/"), ("--secure", f"{them.folder}/keys")
+            make(them.folder / "keys", robots=["romeo"], hosts=[machines.edge.address])
         edge = _up(
-            them, given, "--only", "edge", "--listen", endpoint,
+            them, given, "--only", "edge", "--listen", endpoint, *secure,
             out="edge", prefix=tuple(machines.edge.command()),
         )  # fmt: skip
         edge.wait_for("READY")
         up = _up(
-            them, given, "--only", "robot", "--edge", endpoint, "--duration", "3600",
+            them, given, "--only", "robot", "--edge", endpoint, *secure, "--duration", "3600",
             prefix=tuple(machines.robot.command()),
         )  # fmt: skip
         run = them.folder / "run"
         _wait_for_ticks(up, run, given["ticks"])
         machines.cut()
         up.wait_for(_SILENT)
+        if given["mended"]:
+            # For 3 s, in which TCP waits twice as long after every attempt.
+            _wait_for_ticks(up, run, 3000)
+            machines.mend()
+            up.wait_for(_BACK)
         during = agrees_while_running(run) and agrees_while_running(them.folder / "edge")
         codes: dict[Path, int | None] = {
             run: _interrupted(up),
@@ -230,7 +240,9 @@ def _partition(them: Stacks, given: Parameters) -> Outcome:
         }
         expected = EXIT_FELL if has_fallen(run) else EXIT_INTERRUPTED
         told = [*codes.values()] == [expected, EXIT_STANDING]
-        return _checked(them, codes, during=during, told=told)
+        outcome = _checked(them, codes, during=during, told=told)
+        # Measured, and not promised: how long the robot was without an answer.
+        return {**outcome, "silence": [line for line in up.output.splitlines() if _BACK in line]}
 
 
 @contextlib.contextmanager
@@ -404,7 +416,10 @@ _FAULTS: dict[str, tuple[Draw, Play]] = {
     "restart of the edge": (_drawn(), _restart("edge")),
     "restart of netem": (_drawn(), _restart("netem")),
     "restart of the robot": (_drawn(), _restart("robot")),
-    "a partition": (_drawn(), _partition),
+    "a partition": (
+        _drawn(secure=(False, True, False, True), mended=(False, True, True, False)),
+        _partition,
+    ),
     "a limit of file sizes": (
         _drawn(limit=(_MIB, 200_000, 50_000, 1000)),
         _limit(resource.RLIMIT_FSIZE),

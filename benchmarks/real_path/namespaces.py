@@ -56,6 +56,11 @@ class Machines:
             nobody = ("lladdr", "02:00:00:00:00:01", "dev", _DEVICE, "nud", "permanent")
             _run("ip", "-n", machine.namespace, "neigh", "replace", other.address, *nobody)
 
+    def mend(self) -> None:
+        """Join the cable again after a cut."""
+        for machine, other in ((self.robot, self.edge), (self.edge, self.robot)):
+            _run("ip", "-n", machine.namespace, "neigh", "del", other.address, "dev", _DEVICE)
+
 
 @contextlib.contextmanager
 def two_machines(*, rate: str) -> Iterator[Machines]:

@@ -26,6 +26,7 @@ from shared.bus.base import CLOSING, Delivery, Envelope, new_session
 from shared.bus.endpoint import parse_endpoint
 from shared.bus.preflight import preflight
 from shared.bus.security import Credentials
+from shared.bus.silence_limit import SilenceLimit
 from shared.errors import LinkError
 
 # A slow link should lose messages, not store them: a message that waits here is old when it
@@ -74,9 +75,12 @@ class ZenohBus:
     size of a message over a link [bytes], and makes buffers small; None: the session is local.
     After `lease` [s] without a sign of life of the other end, a `tcp/` connection counts as lost
     and is made again. TCP alone may stay silent after an outage for as long as the outage lasted.
-    Connections of other protocols keep Zenoh's lease: Zenoh cannot close a TLS connection with a
-    full queue, and datagrams need no lease. `settings` are further settings of Zenoh.
+    Zenoh cannot close a TLS connection with a full queue, so the kernel ends a `tls/` connection
+    after that time (Linux). Connections of other protocols keep Zenoh's lease. `settings` are
+    further settings of Zenoh.
     """
+
+    _silence: SilenceLimit | None = None
 
     def __init__(
         self,
@@ -89,10 +93,11 @@ class ZenohBus:
         credentials: Credentials | None = None,
         settings: dict[str, Any] | None = None,
     ) -> None:
-        protocols = {
-            parse_endpoint(endpoint, secured=credentials is not None).protocol
+        endpoints = [
+            parse_endpoint(endpoint, secured=credentials is not None)
             for endpoint in (*listen, *connect)
-        }
+        ]
+        protocols = {each.protocol for each in endpoints}
         _check_limits()
         batches, send_buffer = _buffers(largest)
         config = zenoh.Config()
@@ -126,6 +131,9 @@ class ZenohBus:
             ) from None
         self._clock = machine_clock()
         self._declared: list[object] = []
+        ports = [each.port for each in endpoints if each.protocol == "tls"]
+        if ports:
+            self._silence = SilenceLimit(ports, seconds=lease)
 
     @classmethod
     def dial(
@@ -209,6 +217,8 @@ class ZenohBus:
         then raises. The close goes on in a thread then, and `shared.process.cli.run` ends the
         process without waiting for it.
         """
+        if self._silence is not None:
+            self._silence.close()
         closing = threading.Thread(target=self._close, name=CLOSING, daemon=True)
         try:
             closing.start()

@@ -212,7 +212,8 @@ class LoopConfig:
     longer than the outages of the factory and building profiles, and shorter than LA can stand.
 
     If nothing has come from the other end of a `tcp/` connection for `link_lease`, the connection
-    is closed and made again. Each end tells the other one its own `link_lease`.
+    is closed and made again. So is a `tls/` connection on Linux, if nothing is acknowledged. Each
+    end tells the other one its own `link_lease`.
     """
 
     period_ns: int = setting(1_000_000, help="length of a tick; no other value is supported")
@@ -231,7 +232,10 @@ class LoopConfig:
         20.0, help="time that the robot waits for its first projector", unit="s", at_least=0.0
     )
     link_lease: float = setting(
-        1.0, help="silence after which a tcp/ connection is made again", unit="s", at_least=0.2
+        1.0,
+        help="silence after which a tcp/ or tls/ connection is made again",
+        unit="s",
+        at_least=0.2,
     )
 
 
