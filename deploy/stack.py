@@ -186,7 +186,8 @@ class StackRun:
             if failure is not None:
                 raise failure
             if not outcome:
-                self._terminal.tell(f"files: {self._out}")
+                removed = f"no files: {self._out} was removed during the run"
+                self._terminal.tell(f"files: {self._out}" if self._out.exists() else removed)
                 outcome = self._last_words(code)
             self._put(STOPPING, outcome=outcome, exit_code=code)
             return code

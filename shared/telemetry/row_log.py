@@ -70,6 +70,7 @@ class RowLog:
         self._used = 0
         self._queue: queue.SimpleQueue[np.ndarray | None] = queue.SimpleQueue()
         self._file: BufferedWriter | None = None
+        self._removed: np.ndarray | None = None
         if path is not None:
             # For this user alone: others could hold its lock.
             self._file = os.fdopen(os.open(path, _NEW_FILE, 0o600), "wb")
@@ -98,6 +99,10 @@ class RowLog:
             self._thread.join(timeout=10.0)
             self._thread = None
         if self._file is not None:
+            if self.path is not None and not self.path.exists():
+                # The rows of a file that was removed can be read while it is open, or mapped.
+                with contextlib.suppress(OSError, ValueError):
+                    self._removed = read_rows(Path(f"/dev/fd/{self._file.fileno()}"))[1]
             with contextlib.suppress(OSError):  # the same error as in `failure`
                 self._file.close()
             self._file = None
@@ -106,6 +111,8 @@ class RowLog:
         """Return all rows of a closed log, shape (n, schema.width); memory-mapped from a file."""
         if self.path is None:
             return np.concatenate(self._kept) if self._kept else np.zeros((0, self.schema.width))
+        if self._removed is not None:
+            return self._removed
         try:
             return read_rows(self.path)[1]
         except ValueError:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import stat
 import threading
 import time
@@ -349,3 +350,16 @@ def test_an_empty_table_has_a_shape_and_no_chunks(tmp_path):
     assert_same_schema(schema, SCHEMA)
     assert count == 0
     assert list(parquet_chunks(tmp_path / "rows.parquet")) == []
+
+
+@pytest.mark.parametrize("when", ["before the end", "with its folder"])
+def test_the_rows_of_a_file_that_was_removed_are_not_lost(tmp_path, when):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    log = fill(RowLog(SCHEMA, path=folder / "x"), BLOCK_ROWS + 5)
+    if when == "before the end":
+        (folder / "x").unlink()
+    else:
+        shutil.rmtree(folder)
+    log.close()
+    np.testing.assert_array_equal(log.rows(), expected(BLOCK_ROWS + 5))
