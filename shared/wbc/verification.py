@@ -28,7 +28,7 @@ _ROUNDING = 1e-5
 _LEAST, _MOST = 1e-3, 0.3
 # The tolerance of the response to a vector of unit size. Measured in single precision up to 1 rad
 # from standing: 6e-7.
-_RESPONSE = 1e-3
+_RESPONSE = 1e-5
 
 
 class InverseTest:
