@@ -12,7 +12,7 @@ import pytest
 from benchmarks.faults import fuzz, live, lockstep
 from benchmarks.faults.campaign import JOURNAL, chosen, play, play_case
 from benchmarks.faults.cases import FUZZ, KINDS, LIVE, LOCKSTEP, SHORT, WHOLE, Case, make_cases
-from benchmarks.faults.hostile import TO_EDGE, TO_ROBOT
+from benchmarks.faults.hostile import TO_EDGE, TO_OPEN_ROWS, TO_ROBOT
 from benchmarks.faults.hostile_plans import TO_LAW, TO_PLANS
 from benchmarks.faults.page import BEGIN, END, PAGE, evidence, with_evidence
 from benchmarks.faults.pair import Pair
@@ -126,11 +126,16 @@ def test_a_case_is_selected_by_its_name_and_a_wrong_name_is_refused() -> None:
         chosen(0, short=False, only=["lockstep-x"])
 
 
-@pytest.mark.parametrize("controller", ["la", "lc"])
-def test_every_change_makes_another_message(controller: str) -> None:
+@pytest.mark.parametrize(
+    ("controller", "settings", "to_robot"),
+    [("la", {}, TO_ROBOT), ("lc", {}, TO_ROBOT), ("la", fuzz.LIMITED, TO_OPEN_ROWS)],
+)
+def test_every_change_makes_another_message(
+    controller: str, settings: dict[str, Any], to_robot: dict[str, Any]
+) -> None:
     # An answer to every state.
     refresh = {"correction.refresh_distance": 0.0, "correction.refresh_interval_ns": 0}
-    pair = Pair(load_config(None, {"controller": controller, "push": [], **refresh}))
+    pair = Pair(load_config(None, {"controller": controller, "push": [], **refresh, **settings}))
     states: list[bytes] = []
     answers: list[bytes] = []
 
@@ -144,7 +149,7 @@ def test_every_change_makes_another_message(controller: str) -> None:
     for _ in range(5):
         pair.tick(uplink=noted(states), downlink=noted(answers))
     rng = np.random.default_rng(0)
-    for changes, data in ((TO_EDGE, states[-1]), (TO_ROBOT, answers[-1])):
+    for changes, data in ((TO_EDGE, states[-1]), (to_robot, answers[-1])):
         for name, (draw, change) in changes.items():
             for _ in range(8):
                 given = {**draw(rng), "first": True}
