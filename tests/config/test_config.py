@@ -316,7 +316,7 @@ def test_both_ends_must_agree_on_robot_and_controller_settings_only():
 
 
 @pytest.mark.parametrize(
-    ("overrides", "digest"), [(DEFAULT, "f7064645fbae925c"), (WALK, "fd1b3bb7a1e4bd05")]
+    ("overrides", "digest"), [(DEFAULT, "019cfc9369a5f6cd"), (WALK, "5fae31cbd3f70189")]
 )
 def test_the_digest_of_the_defaults_changes_only_on_purpose(overrides, digest):
     assert load_config(None, overrides).digest.hex() == digest
