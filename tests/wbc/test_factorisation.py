@@ -140,7 +140,7 @@ def test_rows_of_the_tasks_enter_such_a_product_with_their_weights(bench, states
     for state in states[:20]:
         residual = rng.standard_normal(bench.stack.layout.n_rows)
         multipliers = RowMultipliers.zero(bench.model.nv)
-        bench.stack.add_task_multipliers(residual, multipliers)
+        bench.stack.add_task_multipliers(residual, multipliers, bench.model.kinematics(*state))
         expected = bench.matrices(state.q).A.T @ residual[bench.stack.task_rows]
         product = bench.model.transposed(state.q, multipliers)
         np.testing.assert_allclose(product, expected, atol=1e-11 * np.abs(expected).max())
