@@ -17,7 +17,7 @@ from edge_node.footstep_plan import FootstepBuilder, plan_from
 from shared.config.quantities import parse_ground
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError
-from shared.motion.footstep_search import NoFootstepsError, find_footsteps
+from shared.motion.footstep_search import FootstepSearch, NoFootstepsError
 from shared.motion.footsteps import standing_footprints
 from shared.motion.ground import make_ground
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase
@@ -275,10 +275,10 @@ class GroundPlanner:
     def __init__(self, robot: Robot, config: RunConfig) -> None:
         self._build = FootstepBuilder(robot, config)
         self._ground = make_ground(config.ground, seed=config.seed)
-        self._robot = robot
         self._walk = config.walk
         self._start = standing_footprints(robot)
-        self._steps = find_footsteps(robot, config.walk, self._ground, config.walk.place)
+        self._way = FootstepSearch(robot, config.walk, self._ground, config.walk.place)
+        self._steps = self._way.steps()
 
     def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
         report = state.steps
@@ -325,9 +325,7 @@ class GroundPlanner:
         )
         self._start = {each.foot: each for each in (left, right)}
         try:
-            self._steps = find_footsteps(
-                self._robot, self._walk, self._ground, self._walk.place, start=(left, right)
-            )
+            self._steps = self._way.steps((left, right))
         except NoFootstepsError:
             self._steps = ()
 

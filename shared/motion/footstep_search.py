@@ -9,17 +9,15 @@ the estimate uses the way of a point on a coarse grid around walls, holes and fo
 
 The search checks the ground under a foothold coarsely when it lists the successors, and closely
 when it expands the foothold. The search keeps at most `MAX_EXPANSIONS` states with their
-successors, and is a function of its arguments only. Method: Hornung, Dornbush, Likhachev and
-Bennewitz 2012, "Anytime search-based footstep planning with suboptimality bounds", without the
-anytime part.
+successors. Method: Hornung, Dornbush, Likhachev and Bennewitz 2012, "Anytime search-based footstep
+planning with suboptimality bounds", without the anytime part.
 """
 
 from __future__ import annotations
 
 import heapq
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,53 +25,83 @@ import numpy as np
 from shared.config.quantities import Goal
 from shared.config.settings import WalkConfig
 from shared.errors import ConfigError
-from shared.motion.footprint import Footprint
-from shared.motion.footsteps import (
-    SOLE_CLEARANCE,
-    Step,
-    narrowest,
-    standing_footprints,
+from shared.motion.foothold_reach import (
+    CLIMB,
+    FORWARD_GRID,
+    SIDEWAYS,
+    TURNS,
+    Actions,
+    FootholdReach,
 )
+from shared.motion.footprint import Footprint
+from shared.motion.footsteps import Step, standing_footprints
 from shared.motion.ground import Ground, Patch
+from shared.motion.height_table import TOLERANCE, HeightTable, placed
+from shared.motion.planned import other
 from shared.robots import Foot, Robot
-from shared.robots.standing import leg_length
 
 # Points in the plane are complex numbers x + iy here, so that a turn is a product. A search gives
 # up after this number of states.
 MAX_EXPANSIONS = 1000
-# Grid of the footholds beside a foot [m, rad].
-_FORWARD_GRID, _SIDEWAYS, _TURNS = 0.03, (0.0, 0.04, 0.1), (-0.13, 0.0, 0.26)
-_BACKWARD = 0.12
-# Highest climb and descent of a step, and highest ground that a foot passes over [m].
-_CLIMB, _OVER = 0.12, 0.12
+# Highest ground that a foot passes over [m].
+_OVER = 0.12
 # Fastest swing, on the average [m/s].
 _FASTEST = 0.5
-# Heights of level ground differ by less [m].
-_TOLERANCE = 3e-3
-# Cells of the height table, and the distance of points of a sole [m].
-_CELL, _SPACING = 0.01, 0.02
+# The distance of points of a sole [m].
+_SPACING = 0.02
 # Least distance of a landing foot from higher ground ahead and behind, beside the 1 cm from any
 # edge [m].
 _AHEAD = 0.02
+# Successors of a node whose ground is checked closely at a time.
+_CHECKED = 8
 # Two states are the same within this [m, rad].
 _SAME, _SAME_BEHIND, _SAME_TURN = 0.04, 0.12, 0.12
-# Edge of a coarse cell in cells, and the factor on the length of a way across a wall or a hole. A
-# way that is longer than the direct one by the last factor goes round an obstacle.
-_COARSE, _WALL, _ROUND = 4, 4.0, 1.2
-# Half of the width of a stance, in coarse cells.
-_HALF_STANCE = 4
+# A way that is longer than the direct one by this factor goes round an obstacle.
+_ROUND = 1.2
 # Weight of the estimate: larger finds a way sooner, and a longer one.
 _GREED = 2.5
-# The margin of the table around start and goal [m].
-_AROUND = 0.6
 # The largest distance of the feet from a goal without level ground [m].
 _NEAR, _NEAR_GRID = 0.16, 0.02
-# The height of a place where no foot may be set [m]; the rim of the table in cells.
-_NOWHERE, _RIM = -3.0, 40
 
 
 class NoFootstepsError(ConfigError):
     """No sequence of steps to the goal was found."""
+
+
+class FootstepSearch:
+    """The search of one robot for steps over a ground to a goal, from any stance.
+
+    It keeps the table of heights from one search to the next.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        config: WalkConfig,
+        ground: Ground,
+        goal: Goal,
+        *,
+        forbidden: Sequence[Patch] = (),
+    ) -> None:
+        """Prepare the search. `forbidden` are further places where no foot may be set."""
+        stance = standing_footprints(robot)
+        self._standing = stance[Foot.LEFT], stance[Foot.RIGHT]
+        self._ground, self._forbidden = ground, tuple(forbidden)
+        self._problem = _Problem(robot, config, goal, stance)
+        self._table: HeightTable | None = None
+
+    def steps(self, start: tuple[Footprint, Footprint] | None = None) -> tuple[Step, ...]:
+        """Find the steps from a stance (left, right; None: standing) to the goal.
+
+        Raise `NoFootstepsError` with the reason if there is no way, or if the search gives up.
+        """
+        start = start or self._standing
+        goal = self._problem.goal
+        places = np.array([complex(each.x, each.y) for each in start])
+        if self._table is None or not self._table.covers(places):
+            at_goal = complex(goal.x, goal.y)
+            self._table = HeightTable(self._ground, self._forbidden, places, at_goal)
+        return _Search(self._problem, self._table).run(start)
 
 
 def find_footsteps(
@@ -85,156 +113,58 @@ def find_footsteps(
     start: tuple[Footprint, Footprint] | None = None,
     forbidden: Sequence[Patch] = (),
 ) -> tuple[Step, ...]:
-    """Find the steps from a stance (left, right; None: standing) to the goal.
-
-    `forbidden` are further places where no foot may be set. Raise `NoFootstepsError` with the
-    reason if there is no way, or if the search gives up.
-    """
-    if start is None:
-        stance = standing_footprints(robot)
-        start = stance[Foot.LEFT], stance[Foot.RIGHT]
-    table = _Heights(ground, forbidden, start, goal)
-    search = _Search(robot, config, table, goal)
-    return search.run(start)
+    """Find steps once, see `FootstepSearch`."""
+    return FootstepSearch(robot, config, ground, goal, forbidden=forbidden).steps(start)
 
 
-class _Heights:
-    """Heights of the ground in cells of 1 cm, the lowest and highest within a cell around each."""
+class _Problem:
+    """A robot, its way of walking and its goal."""
 
     def __init__(
-        self,
-        ground: Ground,
-        forbidden: Sequence[Patch],
-        start: tuple[Footprint, Footprint],
-        goal: Goal,
+        self, robot: Robot, config: WalkConfig, goal: Goal, stance: dict[Foot, Footprint]
     ) -> None:
-        points = np.array([(start[0].x, start[0].y), (start[1].x, start[1].y), (goal.x, goal.y)])
-        self._low = np.floor((points.min(axis=0) - _AROUND) / _CELL).astype(int)
-        shape = np.ceil((points.max(axis=0) + _AROUND) / _CELL).astype(int) - self._low
-        table = np.zeros(shape)
-        closed = np.zeros(shape, dtype=bool)
-        for patch in ground.patches:
-            rows, columns = self._cells(patch.x, 0, shape), self._cells(patch.y, 1, shape)
-            x = (np.arange(rows.start, rows.stop) + self._low[0] + 0.5) * _CELL
-            table[rows, columns] = (patch.z + patch.rise * (x - patch.x[0]))[:, None]
-            closed[rows, columns] = not patch.allowed
-        for patch in forbidden:
-            closed[self._cells(patch.x, 0, shape), self._cells(patch.y, 1, shape)] = True
-        # Nothing is level with a place where no foot may be.
-        lowest = np.where(closed, _NOWHERE, table)
-        self.highest = _spread(table, np.maximum).ravel()
-        self.lowest = _spread(lowest, np.minimum).ravel()
-        self._last = shape - 1
-        self.uniform = bool(np.ptp(lowest) == 0.0)
-        # Whole tenths of a millimetre, with a rim as wide as a sole, for `level`.
-        self._fine = [
-            np.pad((each * 1e4).astype(np.int16), _RIM, "edge") for each in (table, lowest)
-        ]
-        self._level: dict[tuple[Foot, float], np.ndarray] = {}
-        self._ways = None if self.uniform else self._ways_to(complex(goal.x, goal.y))
-
-    def detour(self, places: np.ndarray, direct: np.ndarray) -> np.ndarray:
-        """Return the way from places (n,) to the goal by `direct` (n,) [m], at least 1."""
-        if self._ways is None:
-            return np.ones(len(places))
-        columns = -(-int(self._last[1] + 1) // _COARSE)
-        cells = self.cells_of(places)
-        row, column = np.divmod(cells, self._last[1] + 1)
-        ways = self._ways[row // _COARSE * columns + column // _COARSE]
-        detour: np.ndarray = np.maximum(ways / np.maximum(direct, _COARSE * _CELL), 1.0)
-        return detour
-
-    def _ways_to(self, goal: complex) -> np.ndarray:
-        """Ways from the cells of a coarse grid to the goal [m], raveled."""
-        # Imported here: it takes long, and flat ground does not need it.
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import dijkstra
-
-        rows, columns = shape = self._last + 1
-        steps = (self.highest - self.lowest).reshape(rows, columns)
-        length = np.where(steps > _CLIMB, _WALL, 1.0)
-        padded = np.pad(length, [(0, -int(n) % _COARSE) for n in shape], "edge")
-        n, m = padded.shape[0] // _COARSE, padded.shape[1] // _COARSE
-        coarse = padded.reshape(n, _COARSE, m, _COARSE).max(axis=(1, 3)) * _COARSE * _CELL
-        # Both feet pass an obstacle on one side of it.
-        for _ in range(_HALF_STANCE):
-            coarse = _spread(coarse, np.maximum)
-        number = np.arange(n * m).reshape(n, m)
-        edges = []
-        for one, other, long in (
-            ((slice(1, None), slice(None)), (slice(-1), slice(None)), 1.0),
-            ((slice(None), slice(1, None)), (slice(None), slice(-1)), 1.0),
-            ((slice(1, None), slice(1, None)), (slice(-1), slice(-1)), math.sqrt(2.0)),
-            ((slice(1, None), slice(-1)), (slice(-1), slice(1, None)), math.sqrt(2.0)),
-        ):
-            way = long * (coarse[one] + coarse[other]).ravel() / 2
-            edges.append((way, number[one].ravel(), number[other].ravel()))
-        ways, begin, end = (np.concatenate(each) for each in zip(*edges, strict=True))
-        graph = coo_array((ways, (begin, end)), shape=(n * m, n * m)).tocsr()
-        row, column = np.divmod(self.cells_of(np.array([goal]))[0], columns)
-        found: np.ndarray = dijkstra(
-            graph, directed=False, indices=row // _COARSE * m + column // _COARSE
-        )
-        return found
-
-    def level(self, foot: Foot, sole: np.ndarray, yaw: float) -> np.ndarray | None:
-        """Return, by cell, whether the ground is level under the points (n,) of a turned sole
-        there.
-
-        It is true wherever `_Search` finds the ground level with a margin of 1 cm. None:
-        everywhere.
-        """
-        if self.uniform:
-            return None
-        key = foot, round(yaw, 6)
-        if key not in self._level:
-            offsets = np.rint(_placed(sole, np.zeros(1), np.array([yaw]))[0] / _CELL)
-            highest, lowest = self._fine
-            rows, columns = self._last + 1
-            top = bottom = highest[_RIM : _RIM + rows, _RIM : _RIM + columns]
-            for offset in offsets.tolist():
-                i, j = int(offset.real) + _RIM, int(offset.imag) + _RIM
-                top = np.maximum(top, highest[i : i + rows, j : j + columns])
-                bottom = np.minimum(bottom, lowest[i : i + rows, j : j + columns])
-            self._level[key] = (top <= bottom + round(2e4 * _TOLERANCE)).ravel()
-        return self._level[key]
-
-    def cells_of(self, points: np.ndarray) -> np.ndarray:
-        """Cells of points, as indices of a raveled table; one outside has the nearest cell."""
-        rows, columns = (
-            np.minimum(np.maximum(np.floor(x * (1.0 / _CELL)) - low, 0), last)
-            for x, low, last in zip((points.real, points.imag), self._low, self._last, strict=True)
-        )
-        cells: np.ndarray = (rows * (self._last[1] + 1) + columns).astype(int)
-        return cells
-
-    def _cells(self, span: tuple[float, float], axis: int, shape: np.ndarray) -> slice:
-        """Cells whose middle is in a span, within the table."""
-        begin, end = (
-            min(max(math.ceil(x / _CELL - 0.5) - int(self._low[axis]), 0), int(shape[axis]))
-            for x in span
-        )
-        return slice(begin, end)
+        self.goal = goal
+        self.width = config.step_width or stance[Foot.LEFT].y - stance[Foot.RIGHT].y
+        self.middle_x = (stance[Foot.LEFT].x + stance[Foot.RIGHT].x) / 2
+        longest = abs(config.step_length)
+        if longest < FORWARD_GRID:
+            raise ConfigError(
+                f"walk.step_length: expected at least {FORWARD_GRID:g} m to go to a goal, got "
+                f"{config.step_length:g}"
+            )
+        self.longest_swing = _FASTEST * (config.step_duration - config.double_support)
+        # The mean way of a step, if each foot swings past the other one.
+        self.advance = min(longest, self.longest_swing / 2)
+        self.reach = FootholdReach(robot, config, self.width)
+        self.actions: dict[Foot, Actions] = {foot: self.reach.actions(foot) for foot in Foot}
+        soles = {sole.side: sole for sole in robot.soles}
+        self.soles = {side: _grid(sole.x, sole.y) for side, sole in soles.items()}
+        self.sole_radius = max(float(np.abs(sole).max()) for sole in self.soles.values())
+        # Two lines of points ahead of the sole, and two behind it.
+        self.ahead = {
+            side: np.concatenate(
+                [
+                    _grid((sole.x[0] - _AHEAD,) * 2, sole.y),
+                    _grid((sole.x[1] + _AHEAD,) * 2, sole.y),
+                ]
+            )
+            for side, sole in soles.items()
+        }
+        self.coarse = {
+            side: _grid(sole.x, sole.y, spacing=2 * _SPACING) for side, sole in soles.items()
+        }
 
 
-def _spread(table: np.ndarray, extreme: np.ufunc) -> np.ndarray:
-    """Extreme of each cell and its eight neighbours."""
-    for axis in (0, 1):
-        table = np.moveaxis(table, axis, 0)
-        spread = table.copy()
-        extreme(spread[1:], table[:-1], out=spread[1:])
-        extreme(spread[:-1], table[1:], out=spread[:-1])
-        table = np.moveaxis(spread, 0, axis)
-    return table
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class _Node:
-    """A placed foot. `arrived`: this foot is in its place at the goal. `done`: both feet are."""
+    """A placed foot. `level`: the ground under it is level, by the close check. `arrived`: this
+    foot is in its place at the goal. `done`: both feet are.
+    """
 
     cost: float
     placed: Footprint
     parent: _Node | None
+    level: bool = True
     arrived: bool = False
     done: bool = False
 
@@ -244,49 +174,70 @@ class _Node:
         before = None if self.parent is None else self.parent.parent
         return None if before is None else before.placed
 
+    @property
+    def behind(self) -> Footprint:
+        """The footprint from which the other foot swings after this one was placed."""
+        return self.placed if self.parent is None else self.parent.placed
 
-# An entry of the queue: its rank and number, then the arguments of a node.
-_Entry = tuple[float, int, float, Footprint, _Node, bool, bool]
+    @property
+    def key(self) -> tuple[object, ...]:
+        """The cell of the state. The search keeps one state per cell.
+
+        The coarse cell of the other foot decides how far that foot can swing.
+        """
+        at, behind = self.placed, self.behind
+        return (
+            at.foot,
+            round(at.x / _SAME),
+            round(at.y / _SAME),
+            round(at.yaw / _SAME_TURN),
+            round(behind.x / _SAME_BEHIND),
+            round(behind.y / _SAME_BEHIND),
+            self.arrived,
+            self.done,
+        )
+
+
+# The rank and the number of a node. The number makes the order of equal ranks.
+_Ranked = tuple[float, int, _Node]
+
+
+class _Queue:
+    """Nodes in the order of their ranks.
+
+    The successors of a node come in this order too. So only the first one of them waits in the
+    heap, and most of them are never made.
+    """
+
+    def __init__(self) -> None:
+        self._heap: list[tuple[float, int, _Node, Iterator[_Ranked]]] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._heap)
+
+    def add(self, nodes: Iterator[_Ranked]) -> None:
+        """Add nodes in the order of their ranks."""
+        first = next(nodes, None)
+        if first is not None:
+            heapq.heappush(self._heap, (*first, nodes))
+
+    def pop(self) -> _Node:
+        """Remove and return the first node."""
+        _, _, node, following = heapq.heappop(self._heap)
+        self.add(following)
+        return node
 
 
 class _Search:
-    """The search of one robot over one table of heights."""
+    """One search over a table of heights."""
 
-    def __init__(self, robot: Robot, config: WalkConfig, table: _Heights, goal: Goal) -> None:
-        stance = standing_footprints(robot)
-        self._width = config.step_width or stance[Foot.LEFT].y - stance[Foot.RIGHT].y
-        self._middle_x = (stance[Foot.LEFT].x + stance[Foot.RIGHT].x) / 2
-        self._longest = abs(config.step_length)
-        if self._longest < _FORWARD_GRID:
-            raise ConfigError(
-                f"walk.step_length: expected at least {_FORWARD_GRID:g} m to go to a goal, got "
-                f"{config.step_length:g}"
-            )
-        self._longest_swing = _FASTEST * (config.step_duration - config.double_support)
-        # The mean way of a step, if each foot swings past the other one.
-        self._advance = min(self._longest, self._longest_swing / 2)
+    def __init__(self, problem: _Problem, table: HeightTable) -> None:
+        self._problem = problem
+        self._goal = problem.goal
         self._table = table
-        self._goal = goal
-        self._reach = _Reach(robot, config, self._width)
-        self._actions = self._reach.actions()
-        soles = {sole.side: sole for sole in robot.soles}
-        self._soles = {side: _grid(sole.x, sole.y) for side, sole in soles.items()}
-        # Two lines of points ahead of the sole, and two behind it.
-        self._ahead = {
-            side: np.concatenate(
-                [
-                    _grid((sole.x[0] - _AHEAD,) * 2, sole.y),
-                    _grid((sole.x[1] + _AHEAD,) * 2, sole.y),
-                ]
-            )
-            for side, sole in soles.items()
-        }
-        self._coarse = {
-            side: _grid(sole.x, sole.y, spacing=2 * _SPACING) for side, sole in soles.items()
-        }
-        self._queue: list[_Entry] = []
-        self._numbers = itertools.count()
-        self._known: set[tuple[object, ...]] = set()
+        self._queue = _Queue()
+        self._count = 0
+        self._sole_cells: dict[tuple[Foot, float], np.ndarray] = {}
 
     def run(self, start: tuple[Footprint, Footprint]) -> tuple[Step, ...]:
         """Return the steps from a stance (left, right)."""
@@ -298,18 +249,19 @@ class _Search:
         for support, swing in stances:
             node = _Node(0.0, support, _Node(0.0, swing, None))
             self._expand(node, goals)
+        known: set[tuple[object, ...]] = set()
         expansions = looked_at = 0
         while self._queue and expansions < MAX_EXPANSIONS and looked_at < 4 * MAX_EXPANSIONS:
-            node = _Node(*heapq.heappop(self._queue)[2:])
-            key = (*_cell(node.placed), *self._cell_behind(node), node.arrived, node.done)
-            if key in self._known:
+            node = self._queue.pop()
+            key = node.key
+            if key in known:
                 continue
             looked_at += 1
-            if not self._can_be_made(node):
+            if not (node.level and self._passes(node)):
                 continue
             if node.done:
                 return tuple(self._steps(node))
-            self._known.add(key)
+            known.add(key)
             expansions += 1
             self._expand(node, goals)
         raise NoFootstepsError(
@@ -320,97 +272,116 @@ class _Search:
 
     def _stance_at_goal(self) -> dict[Foot, Footprint]:
         """Footprints on level ground nearest to the goal."""
-        goal = self._goal
+        goal, problem = self._goal, self._problem
         steps = np.arange(-_NEAR, _NEAR + 1e-9, _NEAR_GRID)
         # Symmetric, so that the nearest of a goal to the left mirrors that of one to the right.
         off = (steps[:, None] + 1j * steps).ravel() if not self._table.uniform else np.zeros(1)
         off = off[np.lexsort((np.abs(off.imag), np.round(np.abs(off), 9)))]
         turn = complex(math.cos(goal.yaw), math.sin(goal.yaw))
-        # As in standing, the place of the goal is below the base.
-        places = {
-            foot: complex(goal.x, goal.y)
-            + turn * (off + complex(self._middle_x, side * self._width / 2))
-            for foot, side in ((Foot.LEFT, 1.0), (Foot.RIGHT, -1.0))
-        }
-        yaw = np.full(len(off), goal.yaw)
-        found = {foot: self._footholds(foot, at, yaw) for foot, at in places.items()}
-        apart = np.abs(found[Foot.LEFT][1] - found[Foot.RIGHT][1])
-        both = found[Foot.LEFT][0] & found[Foot.RIGHT][0] & (apart <= _CLIMB / 2)
-        if not both.any():
-            raise NoFootstepsError(
-                f"goal: expected level ground for both feet within {_NEAR:g} m of "
-                f"{goal.x:g}, {goal.y:g}, found none; try another goal"
-            )
-        k = int(np.argmax(both))
-        return {
-            foot: Footprint(foot, at[k].real, at[k].imag, goal.yaw, float(found[foot][1][k]))
-            for foot, at in places.items()
-        }
+        # Mostly the first place is level.
+        for some in (off[:1], off[1:]):
+            # As in standing, the place of the goal is below the base.
+            places = {
+                foot: complex(goal.x, goal.y)
+                + turn * (some + complex(problem.middle_x, side * problem.width / 2))
+                for foot, side in ((Foot.LEFT, 1.0), (Foot.RIGHT, -1.0))
+            }
+            yaw = np.full(len(some), goal.yaw)
+            found = {foot: self._footholds(foot, at, yaw) for foot, at in places.items()}
+            apart = np.abs(found[Foot.LEFT][1] - found[Foot.RIGHT][1])
+            both = found[Foot.LEFT][0] & found[Foot.RIGHT][0] & (apart <= CLIMB / 2)
+            if both.any():
+                k = int(np.argmax(both))
+                return {
+                    foot: Footprint(
+                        foot, at[k].real, at[k].imag, goal.yaw, float(found[foot][1][k])
+                    )
+                    for foot, at in places.items()
+                }
+        raise NoFootstepsError(
+            f"goal: expected level ground for both feet within {_NEAR:g} m of "
+            f"{goal.x:g}, {goal.y:g}, found none; try another goal"
+        )
 
     def _expand(self, node: _Node, goals: dict[Foot, Footprint]) -> None:
         """Queue the footholds of the other foot that are within reach of a node."""
-        support = node.placed
-        foot = Foot.RIGHT if support.foot is Foot.LEFT else Foot.LEFT
+        problem, table = self._problem, self._table
+        support, behind = node.placed, node.behind
+        foot = other(support.foot)
+        swings_from = complex(behind.x, behind.y)
         last = goals[foot]
-        swing = abs(complex(last.x, last.y) - self._swings_from(node))
-        if swing <= self._longest_swing and self._reach.holds(support, last):
+        swing = abs(complex(last.x, last.y) - swings_from)
+        if swing <= problem.longest_swing and problem.reach.holds(support, last):
             rank = node.cost + 1.0 + _GREED * (not node.arrived)
-            self._push(rank, node.cost + 1.0, last, node, arrived=True, done=node.arrived)
-        side = 1.0 if foot is Foot.LEFT else -1.0
-        forward, sideways, turn, extra = self._actions.T
+            arrived = _Node(node.cost + 1.0, last, node, arrived=True, done=node.arrived)
+            self._queue.add(iter([(rank, self._count, arrived)]))
+            self._count += 1
+        actions = problem.actions[foot]
         heading = complex(math.cos(support.yaw), math.sin(support.yaw))
-        places = complex(support.x, support.y) + heading * (forward + 1j * side * sideways)
-        yaw = support.yaw + side * turn
-        cells = self._table.cells_of(places)
-        z = self._table.highest[cells]
+        places = complex(support.x, support.y) + heading * actions.offsets
+        near = (np.abs(places - swings_from) <= problem.longest_swing).nonzero()[0]
+        cells = table.cells_of(places[near])
+        z = table.highest[cells]
         climb = np.abs(z - support.z)
-        near = self._reach.within(forward, sideways, climb)
-        near &= np.abs(places - self._swings_from(node)) <= self._longest_swing
-        for each in self._reach.turns:
-            level = self._table.level(foot, self._coarse[foot], support.yaw + side * each)
-            if level is not None:
-                near &= (turn != each) | level[cells]
-        costs = node.cost + 1.0 + extra + 2.0 * climb
-        ranks = costs + _GREED * self._estimate(foot, places, yaw)
-        for rank, cost, place, angle, height in zip(
-            *(each[near].tolist() for each in (ranks, costs, places, yaw, z)), strict=True
-        ):
-            placed = Footprint(foot, place.real, place.imag, angle, height)
-            self._push(rank, cost, placed, node)
+        holds = problem.reach.within(actions.half[near], climb)
+        yaws = support.yaw + actions.turns
+        if not table.uniform:
+            soles = np.array([self._cells_under(foot, yaw) for yaw in yaws.tolist()])
+            holds &= table.level(cells, soles[actions.turn[near]])
+        near, z, climb = near[holds], z[holds], climb[holds]
+        turn, places = actions.turn[near], places[near]
+        costs = node.cost + 1.0 + actions.cost[near] + 2.0 * climb
+        ranks = costs + _GREED * self._estimate(foot, places, yaws, turn)
+        order = ranks.argsort(kind="stable")
+        numbers = order + self._count
+        self._count += len(order)
+        columns = (ranks, numbers, costs, places, yaws[turn], z)
+        ordered = [each if each is numbers else each[order] for each in columns]
+        self._queue.add(self._successors(node, foot, *ordered))
 
-    def _cell_behind(self, node: _Node) -> tuple[int, int]:
-        """Coarse cell of the other foot, which decides how far that foot can swing."""
-        other = self._swings_from(node)
-        return round(other.real / _SAME_BEHIND), round(other.imag / _SAME_BEHIND)
-
-    @staticmethod
-    def _swings_from(node: _Node) -> complex:
-        """Place from which the other foot swings after this one was placed."""
-        other = node.placed if node.parent is None else node.parent.placed
-        return complex(other.x, other.y)
-
-    def _push(
+    def _successors(
         self,
-        rank: float,
-        cost: float,
-        placed: Footprint,
-        parent: _Node,
-        *,
-        arrived: bool = False,
-        done: bool = False,
-    ) -> None:
-        entry = (rank, next(self._numbers), cost, placed, parent, arrived, done)
-        heapq.heappush(self._queue, entry)
+        node: _Node,
+        foot: Foot,
+        ranks: np.ndarray,
+        numbers: np.ndarray,
+        costs: np.ndarray,
+        places: np.ndarray,
+        yaw: np.ndarray,
+        z: np.ndarray,
+    ) -> Iterator[_Ranked]:
+        """Yield the successors (n,) of a node in their order. Check the ground under some at a
+        time.
+        """
+        level = np.ones(_CHECKED, dtype=bool)
+        for begin in range(0, len(ranks), _CHECKED):
+            some = slice(begin, begin + _CHECKED)
+            if not self._table.uniform:
+                level, _ = self._footholds(foot, places[some], yaw[some])
+            columns = (ranks, numbers, costs, places, yaw, z)
+            for rank, number, cost, place, angle, height, is_level in zip(
+                *(each[some].tolist() for each in columns), level.tolist(), strict=False
+            ):
+                footprint = Footprint(foot, place.real, place.imag, angle, height)
+                yield rank, number, _Node(cost, footprint, node, is_level)
 
-    def _can_be_made(self, node: _Node) -> bool:
-        """Return whether the ground is level under a foot, and low enough on its way there."""
+    def _cells_under(self, foot: Foot, yaw: float) -> np.ndarray:
+        """Cells of the coarse points of a sole with a heading, see `HeightTable.sole_cells`."""
+        key = foot, round(yaw, 6)
+        if key not in self._sole_cells:
+            self._sole_cells[key] = self._table.sole_cells(self._problem.coarse[foot], yaw)
+        return self._sole_cells[key]
+
+    def _passes(self, node: _Node) -> bool:
+        """Return whether the ground is low enough on the way of a foot."""
         at, start = node.placed, node.start
-        if self._table.uniform:
+        if self._table.uniform or start is None:
             return True
-        level, _ = self._footholds(at.foot, np.array([complex(at.x, at.y)]), np.array([at.yaw]))
-        if not level[0] or start is None:
-            return bool(level[0])
-        return self._highest_between(start, at) - max(start.z, at.z) <= _OVER
+        most = max(start.z, at.z) + _OVER
+        ends = complex(start.x, start.y), complex(at.x, at.y)
+        if self._table.highest_around(*ends, radius=self._problem.sole_radius) <= most:
+            return True
+        return self._highest_between(start, at) <= most
 
     def _footholds(
         self, foot: Foot, places: np.ndarray, yaw: np.ndarray
@@ -418,34 +389,36 @@ class _Search:
         """Return whether the ground is level under soles at places (n,) and headings (n,), and its
         heights (n,) [m].
         """
-        table = self._table
+        table, sole = self._table, self._problem.soles[foot]
         z = table.highest[table.cells_of(places)]
-        cells = table.cells_of(_placed(self._soles[foot], places, yaw))
-        under = table.lowest[cells]
-        ahead = table.highest[table.cells_of(_placed(self._ahead[foot], places, yaw))]
-        highest = np.maximum(table.highest[cells].max(axis=1), ahead.max(axis=1))
-        level = (under.min(axis=1) >= z - _TOLERANCE) & (highest <= z + _TOLERANCE)
-        return level, z
+        points = np.concatenate((sole, self._problem.ahead[foot]))
+        cells = table.cells_of(placed(points, places, yaw))
+        lowest = table.lowest[cells[:, : len(sole)]].min(axis=1)
+        highest = table.highest[cells].max(axis=1)
+        return (lowest >= z - TOLERANCE) & (highest <= z + TOLERANCE), z
 
-    def _estimate(self, foot: Foot, places: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-        """Steps from placed feet (n,), with headings (n,), to the goal, (n,)."""
-        inward = -self._width / 2 if foot is Foot.LEFT else self._width / 2
-        heading = np.exp(1j * yaw)
-        base = places + heading * complex(-self._middle_x, inward)
+    def _estimate(
+        self, foot: Foot, places: np.ndarray, yaws: np.ndarray, turn: np.ndarray
+    ) -> np.ndarray:
+        """Steps from placed feet (n,) to the goal, (n,). Their headings are `yaws[turn]`."""
+        problem, goal = self._problem, self._goal
+        inward = -problem.width / 2 if foot is Foot.LEFT else problem.width / 2
+        heading = np.exp(1j * yaws)[turn]
+        base = places + heading * complex(-problem.middle_x, inward)
         # The way in the frame of the foot.
-        way = (complex(self._goal.x, self._goal.y) - base) * heading.conj()
+        way = (complex(goal.x, goal.y) - base) * heading.conj()
         forward, sideways = np.abs(way.real), np.abs(way.imag)
         towards = np.angle(way)
-        turn = np.remainder(self._goal.yaw - yaw + math.pi, math.tau) - math.pi
-        last = np.remainder(turn - towards + math.pi, math.tau) - math.pi
-        turns, turn = np.abs(towards) + np.abs(last), np.abs(turn)
-        turning = (_TURNS[2] - _TURNS[0]) / 2
+        left = (np.remainder(goal.yaw - yaws + math.pi, math.tau) - math.pi)[turn]
+        last = np.remainder(left - towards + math.pi, math.tau) - math.pi
+        turns, left = np.abs(towards) + np.abs(last), np.abs(left)
+        turning = (TURNS[2] - TURNS[0]) / 2
         distance = np.abs(way)
         detour = self._table.detour(base, distance)
         # Round an obstacle the direction of the goal means nothing.
-        turns = np.where(detour > _ROUND, turn, turns)
-        straight = detour * distance / self._advance + turns / turning
-        across = forward / self._advance + 2.0 * sideways / _SIDEWAYS[-1] + turn / turning
+        turns = np.where(detour > _ROUND, left, turns)
+        straight = detour * distance / problem.advance + turns / turning
+        across = forward / problem.advance + 2.0 * sideways / SIDEWAYS[-1] + left / turning
         estimate: np.ndarray = np.minimum(straight, detour * across)
         return estimate
 
@@ -455,7 +428,7 @@ class _Search:
         share = np.linspace(0.0, 1.0, 2 + math.ceil(abs(way) / 0.05))
         places = begin + share * way
         yaw = start.yaw + share * math.remainder(goal.yaw - start.yaw, math.tau)
-        points = _placed(self._soles[goal.foot], places, yaw)
+        points = placed(self._problem.soles[goal.foot], places, yaw)
         return float(self._table.highest[self._table.cells_of(points)].max())
 
     def _steps(self, node: _Node) -> list[Step]:
@@ -467,71 +440,6 @@ class _Search:
         return steps[::-1]
 
 
-def _cell(placed: Footprint) -> tuple[object, ...]:
-    """Cell of a footprint. The search keeps one state per cell."""
-    x, y, turn = placed.x / _SAME, placed.y / _SAME, placed.yaw / _SAME_TURN
-    return placed.foot, round(x), round(y), round(turn)
-
-
-class _Reach:
-    """The places of a foot beside the other one that the legs reach."""
-
-    turns = _TURNS
-
-    def __init__(self, robot: Robot, config: WalkConfig, width: float) -> None:
-        self._robot = robot
-        self._width = width
-        self._longest = abs(config.step_length)
-        self._stretched, height = leg_length(robot)
-        self._height = height - config.com_lowering
-
-    def actions(self) -> np.ndarray:
-        """Grid of footholds: forward, sideways from the other foot, turn, extra cost, (n, 4).
-
-        Sideways and turn are positive outward.
-        """
-        longest = self._longest
-        count = math.floor(longest / _FORWARD_GRID + 1e-9)
-        ahead = [k * _FORWARD_GRID for k in range(-round(_BACKWARD / _FORWARD_GRID), count + 1)]
-        if longest - ahead[-1] > 1e-6:
-            ahead.append(longest)
-        rows = []
-        for forward, wider, turn in itertools.product(ahead, _SIDEWAYS, _TURNS):
-            sideways = max(self._width, self._least(turn)) + wider
-            extra = 2.0 * wider + abs(turn) + (0.1 if forward < 0.0 else 0.0)
-            rows.append((forward, sideways, turn, extra))
-        # The longest step comes first, because the search takes the first of two equally good ways.
-        return np.array(sorted(rows, key=lambda row: -row[0]))
-
-    def _least(self, turn: float) -> float:
-        """Least distance of the feet side by side [m]."""
-        return narrowest(self._robot, turn=abs(turn)) + SOLE_CLEARANCE
-
-    def within(self, forward: np.ndarray, sideways: np.ndarray, climb: np.ndarray) -> np.ndarray:
-        """Return whether the legs reach places (n,), in the frame of the support foot.
-
-        The hips are above the middle between the feet, and in the middle of a climb.
-        """
-        half = np.hypot(forward, sideways - self._width) / 2
-        holds: np.ndarray = np.hypot(half, self._height + climb / 2) <= self._stretched
-        return holds & (climb <= _CLIMB)
-
-    def holds(self, support: Footprint, goal: Footprint) -> bool:
-        """Return whether a step reaches any of the places, for example that of the goal."""
-        x, y = (goal.position - support.position).tolist()
-        c, s = math.cos(support.yaw), math.sin(support.yaw)
-        forward, sideways = c * x + s * y, -s * x + c * y
-        turn = math.remainder(goal.yaw - support.yaw, math.tau)
-        if goal.foot is Foot.RIGHT:
-            sideways, turn = -sideways, -turn
-        if not _TURNS[0] <= turn <= _TURNS[-1] or not -_BACKWARD <= forward <= self._longest:
-            return False
-        if not self._least(turn) <= sideways <= self._width + _SIDEWAYS[-1]:
-            return False
-        place = (np.array([each]) for each in (forward, sideways, abs(goal.z - support.z)))
-        return bool(self.within(*place)[0])
-
-
 def _grid(
     x: tuple[float, float], y: tuple[float, float], *, spacing: float = _SPACING
 ) -> np.ndarray:
@@ -541,9 +449,3 @@ def _grid(
     )
     grid: np.ndarray = (along[:, None] + 1j * across).ravel()
     return grid
-
-
-def _placed(points: np.ndarray, places: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """Points (m,) of a sole at each of the places (n,) with headings (n,), (n, m)."""
-    placed: np.ndarray = places[:, None] + np.exp(1j * yaw)[:, None] * points
-    return placed

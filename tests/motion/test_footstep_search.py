@@ -12,7 +12,7 @@ import pytest
 from shared.config.config_file import load_config
 from shared.config.quantities import parse_goal
 from shared.motion import footstep_search
-from shared.motion.footstep_search import NoFootstepsError, find_footsteps
+from shared.motion.footstep_search import FootstepSearch, NoFootstepsError, find_footsteps
 from shared.motion.footsteps import MAX_TURN, standing_footprints
 from shared.motion.ground import FLAT, Ground, Patch, make_ground
 from shared.motion.walking import Walking
@@ -183,6 +183,29 @@ def test_from_any_stance_the_search_goes_on(robot, walk):
     assert len(steps) < len(first)
     assert {steps[0].support, steps[0].start} == set(start)
     assert steps[-1].goal.x == pytest.approx(first[-1].goal.x)
+
+
+@pytest.mark.parametrize(("aside", "tables"), [(0.1, 1), (-3.0, 2)])
+def test_a_later_search_keeps_the_table_as_long_as_the_feet_are_on_it(
+    robot, walk, monkeypatch, aside, tables
+):
+    made = []
+
+    class Counted(footstep_search.HeightTable):
+        def __init__(self, *args):
+            made.append(self)
+            super().__init__(*args)
+
+    monkeypatch.setattr(footstep_search, "HeightTable", Counted)
+    ground, goal = make_ground("stairs:1x5cm", seed=0), parse_goal("0.8,0")
+    stance = standing_footprints(robot)
+    left, right = (dataclasses.replace(stance[foot], y=stance[foot].y + aside) for foot in Foot)
+    search = FootstepSearch(robot, walk, ground, goal)
+    first = search.steps()
+    steps = search.steps((left, right))
+    assert len(made) == tables
+    assert {steps[0].support, steps[0].start} == {left, right}
+    assert steps[-1].goal == {each.goal.foot: each.goal for each in first}[steps[-1].goal.foot]
 
 
 def test_a_step_too_short_to_get_anywhere_is_refused(robot, walk):
