@@ -230,11 +230,15 @@ class ContactClock:
             return
         state = swing.path.state(time)
         motion = np.array((state.position[:2], state.velocity[:2], state.acceleration[:2]))
-        step = self._decision.step(
-            self.law,
-            balance,
-            InAir(swing.foot, motion, time - swing.begin, swing.nominal, swing.nominal_time),
+        in_air = InAir(
+            swing.foot,
+            motion,
+            time - swing.begin,
+            swing.nominal,
+            swing.nominal_time,
+            self.chosen,
         )
+        step = self._decision.step(self.law, balance, in_air)
         if step is not None:
             swing.cop = step.cop
             end = time + step.remaining

@@ -1,8 +1,8 @@
 """Heights of a ground in cells of 1 cm around the places of a search for footsteps.
 
-Points in the plane are complex numbers x + iy, so that a turn is a product. The table answers how
-high the ground is in a cell and around it, whether it is level under a sole, and how long the way
-of a point to the goal is, around walls, holes and forbidden places.
+Points in the plane are complex numbers x + iy, so that a turn is a product. The table has the
+height of the ground in a cell and around it, and knows whether the ground under a sole is level. It
+also has the length of the way of a point to the goal, around walls, holes and forbidden places.
 """
 
 from __future__ import annotations

@@ -40,7 +40,8 @@ class InAir:
 
     `motion` (3, 2) has the position, velocity and acceleration of the swing foot's reference in the
     plane. `elapsed` is the time since lift-off. `nominal` and `nominal_time` are the foothold and
-    time of an undisturbed step, None if no plan asks for a step.
+    time of an undisturbed step, None if no plan asks for a step. `chosen` is the foothold that the
+    law has chosen last, None without one.
     """
 
     foot: Foot
@@ -48,6 +49,7 @@ class InAir:
     elapsed: float = 0.0
     nominal: Footprint | None = None
     nominal_time: float | None = None
+    chosen: Footprint | None = None
 
     @staticmethod
     def at_rest(
@@ -116,6 +118,10 @@ class StepDecision:
         if in_air.nominal is not None:
             goal = axes @ (in_air.nominal.position - origin)
             yaw, z = in_air.nominal.yaw, in_air.nominal.z
+        # A step after a push follows the DCM at once. A planned one stays where it is as good.
+        last = None
+        if in_air.nominal is not None and in_air.chosen is not None:
+            last = axes @ (in_air.chosen.position - origin)
         motion = in_air.motion @ axes.T
         motion[0] -= axes @ origin
         choice = choose_step(
@@ -129,6 +135,7 @@ class StepDecision:
                 nominal_time=in_air.nominal_time,
                 goes_on=in_air.nominal is not None,
                 to_world=np.column_stack((axes.T, origin)),
+                last=last,
             ),
             least=self._config.freeze,
             held=self._config.force_lasts,

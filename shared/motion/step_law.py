@@ -11,9 +11,11 @@ and footholds u on a grid, and takes the best of
 
     J = V_x(ξ_T − u) + V_y(ξ_T − u) + w_u ‖u − ū‖² + w_p ‖p − p̄‖² + w_T (T − T̄)²
 
-among those within reach. ū, p̄ and T̄ are the nominal ones. V is the cost of the steps after this
-one: a table for each axis, made once by dynamic programming over steps of a fixed time. It depends
-on the robot's geometry only. So the edge computes the tables, and the robot applies them.
+among those within reach. ū, p̄ and T̄ are the nominal ones. In a planned step ‖u − u₋‖² is added,
+where u₋ is the last choice, so that of two equally good footholds the last one stays. V is the cost
+of the steps after this one: a table for each axis, made once by dynamic programming over steps of a
+fixed time. It depends on the robot's geometry only. So the edge computes the tables, and the robot
+applies them.
 
 All quantities are in the frame of the support sole, with y towards the swing foot. One law
 therefore serves both feet. After Khadiv et al. 2016 (step timing) and Englsberger et al. 2015.
@@ -42,10 +44,14 @@ _MAX_ACCELERATION, _MAX_SPEED = 30.0, 3.2
 # Prices of the deviation from the nominal foothold, CoP and time, and of a DCM that no foot
 # captures.
 _FOOTHOLD_PRICE, _COP_PRICE, _TIME_PRICE, _CAPTURE_PRICE = 1.0, 1.0, 0.3, 30.0
+# Price of the distance to the last choice: another foothold has to be better by it.
+_CHANGE_PRICE = 1.0
 _COP_SHARE = 0.72
 _CAPTURE_MARGIN = 0.015
 _CENTRE_PRICE = 4.0
 _STEPS_AHEAD = 2
+# The largest number of intervals in place of one between two CoPs.
+_FINEST = 8
 # A higher step of the ground is an edge [m]. A message has room for this number of boxes.
 _EDGE = 0.01
 MAX_NO_GO = 16
@@ -93,7 +99,8 @@ class StepQuestion:
     `dcm` and `disturbance` are (2,) [m]. `swing` (3, 2) has the position, velocity and acceleration
     of the swing foot's reference. `elapsed` is the time since lift-off and `nominal` (2,) the
     foothold of an undisturbed step. `to_world` (2, 3) takes (x, y, 1) to the plan's frame, for
-    no-go boxes.
+    no-go boxes. `last` (2,) is the foothold of the last decision on this step, which is left only
+    for a better one; None without one.
     """
 
     dcm: np.ndarray
@@ -104,6 +111,7 @@ class StepQuestion:
     nominal_time: float | None = None
     goes_on: bool = False
     to_world: np.ndarray | None = None
+    last: np.ndarray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,9 +244,14 @@ def choose_step(
     pushed = np.expm1(omega * lasting) * np.exp(omega * (remaining - lasting))
     growth = np.exp(omega * remaining)
     going_on = question.goes_on
+    # In a slow step a CoP moves the DCM further, so that its grid is finer there. Else the best
+    # foothold between two CoPs is not found, and two worse ones beside it are as good.
+    ratio = (growth.max() - 1.0) / math.expm1(omega * law.times[-1])
+    finer = min(math.ceil(ratio - 1e-6), _FINEST)
+    cops_x, cops_y = (_finer(cops, finer) for cops in (law.cops_x, law.cops_y))
     axes = (
-        (law.cops_x, law.footholds_x, law.going_on_x if going_on else law.values_x, 1.0),
-        (law.cops_y, law.footholds_y, law.going_on_y if going_on else law.values_y, -1.0),
+        (cops_x, law.footholds_x, law.going_on_x if going_on else law.values_x, 1.0),
+        (cops_y, law.footholds_y, law.going_on_y if going_on else law.values_y, -1.0),
     )
     # For each axis, J without the price of time: for every CoP, (T, p, u), and for the best CoP,
     # (T, u).
@@ -250,6 +263,8 @@ def choose_step(
         price = _values(law.offsets, values, direction * (at_end[:, :, None] - footholds))
         price += _COP_PRICE * (cops[:, None] - law.cop_nominal[axis]) ** 2
         price += _FOOTHOLD_PRICE * (footholds - question.nominal[axis]) ** 2
+        if question.last is not None:
+            price += _CHANGE_PRICE * (footholds - question.last[axis]) ** 2
         within = _within_reach(question.swing[:, axis], footholds, remaining)
         by_cop.append(price)
         by_foothold.append(np.where(within, price.min(axis=1), np.inf))
@@ -269,6 +284,11 @@ def choose_step(
         cop[axis] = _vertex(axes[axis][0], of_cop, int(of_cop.argmin()))
     at_end = cop + (question.dcm - cop) * growth[t] + question.disturbance * pushed[t]
     return StepChoice(foothold, float(remaining[t]), cop, at_end, cost)
+
+
+def _finer(grid: np.ndarray, factor: int) -> np.ndarray:
+    """The same grid with `factor` intervals in place of each."""
+    return grid if factor <= 1 else np.linspace(grid[0], grid[-1], factor * (len(grid) - 1) + 1)
 
 
 def _within_reach(swing: np.ndarray, footholds: np.ndarray, remaining: np.ndarray) -> np.ndarray:

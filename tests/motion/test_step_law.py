@@ -99,6 +99,37 @@ def test_no_foot_lands_in_a_forbidden_box(law):
     assert answer.cost > free.cost
 
 
+def slow_step(law, y, **others):
+    """A question in a step of 0.77 s in place, with the DCM at y."""
+    step = {"nominal_time": 0.77, "goes_on": True, **others}
+    return question(law, (law.cop_nominal[0], y), **step)
+
+
+@pytest.mark.parametrize("elapsed", [0.0, 0.08, 0.3])
+def test_a_slow_undisturbed_step_lands_in_its_place(law, elapsed):
+    """Between two CoPs of the law's grid the DCM at the landing differs by 0.2 m."""
+    begin = law.width / (1.0 + math.exp(law.omega * 0.77))
+    answer = ask(law, slow_step(law, begin * math.exp(law.omega * elapsed), elapsed=elapsed))
+    assert answer.foothold == pytest.approx([0.0, law.width], abs=0.02)
+
+
+def test_of_two_equally_good_footholds_the_last_one_stays(law):
+    """Half a millimetre of the DCM decides between footholds that are 3 cm apart."""
+    asked, moved = (slow_step(law, y, elapsed=0.1) for y in (0.0119, 0.0124))
+    first, other = ask(law, asked), ask(law, moved)
+    assert abs(first.foothold[1] - other.foothold[1]) > 0.03
+    stays = ask(law, dataclasses.replace(moved, last=first.foothold))
+    assert stays.foothold == pytest.approx(first.foothold, abs=0.01)
+
+
+def test_decisions_lead_from_a_bad_foothold_to_a_good_one(law):
+    asked = slow_step(law, 0.0119, elapsed=0.1)
+    last = np.array([0.2, law.footholds_y[-1]])
+    for _ in range(10):
+        last = ask(law, dataclasses.replace(asked, last=last)).foothold
+    assert last == pytest.approx(ask(law, asked).foothold, abs=0.02)
+
+
 def test_the_tables_are_those_of_both_feet(robot):
     """The law is in the frame of either support foot, so a mirrored robot has the same tables."""
     left, right = robot.soles
