@@ -160,6 +160,8 @@ def draw(key: str, spec: dict[str, Any], *, seed: int) -> Any:
     rng = np.random.default_rng([seed, 11, zlib.crc32(key.encode())])
     if spec["kind"] == "uniform":
         return float(rng.uniform(spec["low"], spec["high"]))
+    if spec["kind"] == "cut":
+        return [f"cut@{rng.uniform(*spec['start']):.3f}s"]
     force, start, duration = (
         rng.uniform(*value) if isinstance(value := spec[name], list) else value
         for name in ("force", "start", "duration")

@@ -39,9 +39,10 @@ them. The base replaces the defaults of the task. A setting that is a list is a 
 and a list of lists in the grid: `push = [["100N@1.0s:0.2s:+y"], []]`. For `profiles:factory`, seed
 k gets the k-th shipped profile of that scenario; after the last profile the first follows. For
 `generated:factory`, seed k gets the profile generated from seed k. The prefix `capacity:` gives the
-capacity behind that profile. A pair of numbers in a push stands for a draw between the two. With
-`all_active_sets = true`, states that the edge did not solve are solved after the trial, so that the
-discrepancy of the active set is known at every tick.
+capacity behind that profile. A pair of numbers in a push stands for a draw between the two. The
+random `"link.outage" = {kind = "cut", start = [1.0, 6.0]}` cuts the link for ever at a time between
+the two. With `all_active_sets = true`, states that the edge did not solve are solved after the
+trial, so that the discrepancy of the active set is known at every tick.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ _RANDOM = {
     "push": '{ kind = "push", force = 40.0, duration = 0.2, start = [1.0, 6.0], '
     'directions = ["+x", "-y"] }',
     "uniform": '{ kind = "uniform", low = 0.4, high = 1.0 }',
+    "cut": '{ kind = "cut", start = [1.0, 6.0] }',
 }
 
 

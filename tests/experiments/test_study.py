@@ -194,6 +194,15 @@ def test_draws_depend_on_the_seed_and_the_setting_alone(study_of):
     assert alone.trials[1].label["push"] == list(pushes[1])
 
 
+def test_the_link_is_cut_at_a_random_time_of_the_span(study_of):
+    study = study_of("seeds = 20\n[random]\nlink.outage = { kind = 'cut', start = [1.0, 1.5] }")
+    outages = [trial.config.link.outages for trial in study.trials]
+    assert all(each[0].duration_ns is None for each in outages)
+    starts = [each[0].start_ns for each in outages]
+    assert 1_000_000_000 <= min(starts) < max(starts) <= 1_500_000_000
+    assert len(set(starts)) > 15
+
+
 def test_a_draw_is_what_it_was_last_year():
     assert draw("push", PUSH, seed=3) == ["40.000N@1.659s:0.200s:+x"]
 

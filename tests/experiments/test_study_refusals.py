@@ -40,6 +40,11 @@ BISECT_LOOP = "[bisect]\nsetting = 'loop.period_ns'\n"
             "random.loop.hold_after: exp",
         ),
         ("[random]\npush = { kind = 'gust' }", "random.push: expected { kind = "),
+        ("[random]\nlink.outage = { kind = 'cut' }", "random.link.outage: expected { kind = "),
+        (
+            "[random]\nlink.outage = { kind = 'cut', start = 3.0 }",
+            "random.link.outage: expected { kind = ",
+        ),
         ("seeds =", "is not valid TOML"),
         ("all_active_sets = 1", "all_active_sets: expected true or false, got 1"),
         (
