@@ -15,6 +15,8 @@ from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
 
+# Steps of one plan at most, before it comes to a stand.
+MAX_STEPS = 8
 # A plan is valid for this time after its state [ns].
 _VALID_NS = 1_000_000_000
 # A robot on both feet for longer than between two steps stands [s].

@@ -6,20 +6,17 @@ None if the robot shall stand. The robot's step law moves the footsteps when nec
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from edge_node.footstep_plan import FootstepBuilder, plan_from
+from edge_node.footstep_plan import MAX_STEPS, FootstepBuilder, plan_from
+from edge_node.ground_planner import GroundPlanner
 from shared.config.quantities import parse_ground
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError
-from shared.motion.footstep_search import FootstepSearch, NoFootstepsError
-from shared.motion.footsteps import standing_footprints
-from shared.motion.ground import make_ground
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase
 from shared.motion.stance import middle
 from shared.motion.step_decision import Balance, InAir, StepDecision
@@ -29,8 +26,6 @@ from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
 from shared.wire.operator.commands import DRIVE_NS, EdgeCommand, Go
 
-# Steps of one plan at most, before it comes to a stand.
-_MAX_STEPS = 8
 # The time from the last step until the feet come together [ns], and the distance within which they
 # are together [m].
 _BEFORE_TOGETHER_NS, _TOGETHER = 1_000_000_000, 0.06
@@ -40,8 +35,6 @@ _VELOCITY_STEPS = 4
 _MOST = (0.15, 0.06, math.radians(15.0))
 # A robot this near to its goal has arrived [m, rad].
 _AT_GOAL, _TURNED_TO_GOAL = 0.03, math.radians(4.0)
-# Feet this near to the footprints of a way are on it [m].
-_ON_WAY = 0.04
 
 
 @dataclass(frozen=True)
@@ -184,9 +177,7 @@ class WalkPlanner:
         if left <= 0:
             return None
         advance = (walk.step_length, walk.step_sideways, walk.step_turn)
-        return self._build.steps(
-            state, advance, com=com, number=number, steps=min(left, _MAX_STEPS)
-        )
+        return self._build.steps(state, advance, com=com, number=number, steps=min(left, MAX_STEPS))
 
 
 class PathPlanner:
@@ -260,74 +251,7 @@ class PathPlanner:
         n = max(1, *(math.ceil(abs(each) / most) for each, most in zip(left, _MOST, strict=True)))
         part = (left[0] / n, left[1] / n, left[2] / n)
         # The last step brings the feet together.
-        return part, min(n + 1, _MAX_STEPS)
-
-
-class GroundPlanner:
-    """Steps to a goal over a known ground, by the search of `shared/motion/footstep_search.py`.
-
-    The way is searched again from where the feet are, if they are not on it. The robot stands if
-    there is no way.
-    """
-
-    reacts = False
-
-    def __init__(self, robot: Robot, config: RunConfig) -> None:
-        self._build = FootstepBuilder(robot, config)
-        self._ground = make_ground(config.ground, seed=config.seed)
-        self._walk = config.walk
-        self._start = standing_footprints(robot)
-        self._way = FootstepSearch(robot, config.walk, self._ground, config.walk.place)
-        self._steps = self._way.steps()
-
-    def plan(self, state: RobotState, *, com: np.ndarray, number: int) -> Plan | None:
-        report = state.steps
-        if report is None:
-            return None
-        done = self._done(report)
-        if state.mode is ContactMode.DOUBLE_SUPPORT and done is None:
-            self._search(report)
-            done = 0
-        if done is None:
-            return None
-        left = self._steps[done:][:_MAX_STEPS]
-        in_air = state.mode is not ContactMode.DOUBLE_SUPPORT
-        if not left or (in_air and SUPPORT_MODE[left[0].swing_foot] is not state.mode):
-            return None
-        return self._build.along(
-            state,
-            [step.goal for step in left],
-            com=com,
-            number=number,
-            swing_height=self._walk.swing_height + max(step.obstacle for step in left),
-        )
-
-    def _done(self, report: StepReport) -> int | None:
-        """Return how many steps of the way lead to the present footprints; None if no part of it
-        does.
-        """
-        feet = dict(self._start)
-        places = [dict(feet)]
-        for step in self._steps:
-            feet[step.swing_foot] = step.goal
-            places.append(dict(feet))
-        for done in range(len(places) - 1, -1, -1):
-            at = places[done]
-            if all(
-                math.dist(each.position, at[each.foot].position) < _ON_WAY for each in report.feet
-            ):
-                return done
-        return None
-
-    def _search(self, report: StepReport) -> None:
-        left, right = (
-            dataclasses.replace(each, z=self._ground.height(each.x, each.y)) for each in report.feet
-        )
-        self._start = {each.foot: each for each in (left, right)}
-        try:
-            self._steps = self._way.steps((left, right))
-        except NoFootstepsError:
-            self._steps = ()
+        return part, min(n + 1, MAX_STEPS)
 
 
 def _bounded(advance: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -52,6 +52,8 @@ _SPACING = 0.02
 # Least distance of a landing foot from higher ground ahead and behind, beside the 1 cm from any
 # edge [m].
 _AHEAD = 0.02
+# Nodes that a part of a search looks at.
+_PART = 50
 # Successors of a node whose ground is checked closely at a time.
 _CHECKED = 8
 # Two states are the same within this [m, rad].
@@ -95,13 +97,19 @@ class FootstepSearch:
 
         Raise `NoFootstepsError` with the reason if there is no way, or if the search gives up.
         """
-        start = start or self._standing
+        return next(found for found in self.search(start or self._standing) if found is not None)
+
+    def search(self, start: tuple[Footprint, Footprint]) -> Iterator[tuple[Step, ...] | None]:
+        """Search a part at a time: yield None after each part, and the steps at the end.
+
+        Raise `NoFootstepsError` as `steps` does.
+        """
         goal = self._problem.goal
         places = np.array([complex(each.x, each.y) for each in start])
         if self._table is None or not self._table.covers(places):
             at_goal = complex(goal.x, goal.y)
             self._table = HeightTable(self._ground, self._forbidden, places, at_goal)
-        return _Search(self._problem, self._table).run(start)
+        yield from _Search(self._problem, self._table).run(start)
 
 
 def find_footsteps(
@@ -239,8 +247,8 @@ class _Search:
         self._count = 0
         self._sole_cells: dict[tuple[Foot, float], np.ndarray] = {}
 
-    def run(self, start: tuple[Footprint, Footprint]) -> tuple[Step, ...]:
-        """Return the steps from a stance (left, right)."""
+    def run(self, start: tuple[Footprint, Footprint]) -> Iterator[tuple[Step, ...] | None]:
+        """Yield the steps from a stance (left, right) at the end, and None at times before."""
         goals = self._stance_at_goal()
         stances = [start, start[::-1]]
         # If both ways are as good, the foot on the side of the goal goes first.
@@ -257,10 +265,13 @@ class _Search:
             if key in known:
                 continue
             looked_at += 1
+            if looked_at % _PART == 0:
+                yield None
             if not (node.level and self._passes(node)):
                 continue
             if node.done:
-                return tuple(self._steps(node))
+                yield tuple(self._steps(node))
+                return
             known.add(key)
             expansions += 1
             self._expand(node, goals)

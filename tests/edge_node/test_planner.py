@@ -15,6 +15,7 @@ from edge_node.planner import (
     WalkPlanner,
     make_planner,
 )
+from shared.motion import footstep_search
 from shared.motion.footsteps import standing_footprints
 from shared.motion.ground import make_ground
 from shared.motion.planned import PlannedMotion
@@ -226,7 +227,8 @@ def test_in_place_the_feet_take_turns(robot, configured, landed):
     assert first.foot is not landed
 
 
-def test_over_a_known_ground_the_plan_has_the_heights_of_the_stairs(robot, configured):
+@pytest.fixture
+def over_stairs(robot, configured):
     config = configured(
         **{
             "task": "go",
@@ -239,7 +241,11 @@ def test_over_a_known_ground_the_plan_has_the_heights_of_the_stairs(robot, confi
             "wbc.balance.law": "dcm",
         }
     )
-    planner = make_planner(robot, config, make_step_law(robot, Stance.of(robot)))
+    return make_planner(robot, config, make_step_law(robot, Stance.of(robot)))
+
+
+def test_over_a_known_ground_the_plan_has_the_heights_of_the_stairs(robot, over_stairs):
+    planner = over_stairs
     plan = planner.plan(state(robot), com=at_rest(robot), number=0)
     ground = make_ground("stairs:3x6cm", seed=0)
     prints = plan.footprints()
@@ -257,3 +263,25 @@ def test_over_a_known_ground_the_plan_has_the_heights_of_the_stairs(robot, confi
     }
     other = planner.plan(state(robot, phase=2, feet=feet), com=at_rest(robot, feet), number=2)
     assert ends(other) == pytest.approx((*ends(plan)[:2], 0.0), abs=1e-6)
+
+
+def test_a_way_is_searched_a_part_at_a_time_and_each_robot_has_its_own(
+    robot, over_stairs, monkeypatch
+):
+    monkeypatch.setattr(footstep_search, "_PART", 4)
+    feet = {
+        foot: dataclasses.replace(each, y=each.y + 0.06)
+        for foot, each in standing_footprints(robot).items()
+    }
+    aside = state(robot, feet=feet)
+    straight = dataclasses.replace(state(robot), session=aside.session + 1)
+    parts, plan = 0, None
+    while plan is None and parts < 1000:
+        plan = over_stairs.plan(aside, com=at_rest(robot, feet), number=0)
+        # The robot beside it goes its own way.
+        other = over_stairs.plan(straight, com=at_rest(robot), number=0)
+        assert other.feet == straight.steps.feet
+        parts += 1
+    assert parts > 1
+    assert plan.feet == aside.steps.feet
+    assert plan.footprints()[-1].x == pytest.approx(other.footprints()[-1].x)
