@@ -42,7 +42,9 @@ class GroundPlanner:
         self._build = FootstepBuilder(robot, config)
         self._ground = make_ground(config.ground, seed=config.seed)
         self._swing_height = config.walk.swing_height
-        self._search = FootstepSearch(robot, config.walk, self._ground, config.walk.place)
+        self._search = FootstepSearch(
+            robot, config.walk, self._ground, config.walk.place, slopes=True
+        )
         stance = standing_footprints(robot)
         self._first = _Way((stance[Foot.LEFT], stance[Foot.RIGHT]), iter([self._search.steps()]))
         self._first.found()

@@ -36,7 +36,7 @@ from shared.motion.foothold_reach import (
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import Step, standing_footprints
 from shared.motion.ground import Ground, Patch
-from shared.motion.height_table import TOLERANCE, HeightTable, placed
+from shared.motion.height_table import HeightTable, placed
 from shared.motion.planned import other
 from shared.robots import Foot, Robot
 
@@ -84,12 +84,18 @@ class FootstepSearch:
         goal: Goal,
         *,
         forbidden: Sequence[Patch] = (),
+        slopes: bool = False,
     ) -> None:
-        """Prepare the search. `forbidden` are further places where no foot may be set."""
+        """Prepare the search.
+
+        `forbidden` are further places where no foot may be set. With `slopes`, a sole may be set on
+        a slope.
+        """
         stance = standing_footprints(robot)
         self._standing = stance[Foot.LEFT], stance[Foot.RIGHT]
         self._ground, self._forbidden = ground, tuple(forbidden)
         self._problem = _Problem(robot, config, goal, stance)
+        self._slopes = slopes
         self._table: HeightTable | None = None
 
     def steps(self, start: tuple[Footprint, Footprint] | None = None) -> tuple[Step, ...]:
@@ -108,7 +114,9 @@ class FootstepSearch:
         places = np.array([complex(each.x, each.y) for each in start])
         if self._table is None or not self._table.covers(places):
             at_goal = complex(goal.x, goal.y)
-            self._table = HeightTable(self._ground, self._forbidden, places, at_goal)
+            self._table = HeightTable(
+                self._ground, self._forbidden, places, at_goal, slopes=self._slopes
+            )
         yield from _Search(self._problem, self._table).run(start)
 
 
@@ -120,9 +128,11 @@ def find_footsteps(
     *,
     start: tuple[Footprint, Footprint] | None = None,
     forbidden: Sequence[Patch] = (),
+    slopes: bool = False,
 ) -> tuple[Step, ...]:
     """Find steps once, see `FootstepSearch`."""
-    return FootstepSearch(robot, config, ground, goal, forbidden=forbidden).steps(start)
+    search = FootstepSearch(robot, config, ground, goal, forbidden=forbidden, slopes=slopes)
+    return search.steps(start)
 
 
 class _Problem:
@@ -309,9 +319,11 @@ class _Search:
                     )
                     for foot, at in places.items()
                 }
+        by_touch = ", or steps by touch over a slope (--stepping on)"
         raise NoFootstepsError(
             f"goal: expected level ground for both feet within {_NEAR:g} m of "
             f"{goal.x:g}, {goal.y:g}, found none; try another goal"
+            f"{by_touch if self._table.refuses_slopes else ''}"
         )
 
     def _expand(self, node: _Node, goals: dict[Foot, Footprint]) -> None:
@@ -403,10 +415,12 @@ class _Search:
         table, sole = self._table, self._problem.soles[foot]
         z = table.highest[table.cells_of(places)]
         points = np.concatenate((sole, self._problem.ahead[foot]))
-        cells = table.cells_of(placed(points, places, yaw))
-        lowest = table.lowest[cells[:, : len(sole)]].min(axis=1)
-        highest = table.highest[cells].max(axis=1)
-        return (lowest >= z - TOLERANCE) & (highest <= z + TOLERANCE), z
+        at = placed(points, places, yaw)
+        cells = table.cells_of(at)
+        plane, tolerance = table.plane(at, places)
+        lowest = (table.lowest[cells] - plane)[:, : len(sole)].min(axis=1)
+        highest = (table.highest[cells] - plane).max(axis=1)
+        return (lowest >= z - tolerance) & (highest <= z + tolerance), z
 
     def _estimate(
         self, foot: Foot, places: np.ndarray, yaws: np.ndarray, turn: np.ndarray

@@ -16,13 +16,17 @@ from shared.motion.foothold_reach import CLIMB
 from shared.motion.ground import Ground, Patch
 
 # Heights of level ground differ by less [m].
-TOLERANCE = 3e-3
+_TOLERANCE = 3e-3
 # The edge of a cell [m], and the margin of the table around the places of a search [m].
 _CELL, _AROUND = 0.01, 0.6
 # Edge of a coarse cell in cells, and the factor on the length of a way across a wall or a hole.
 _COARSE, _WALL = 4, 4.0
 # Half of the width of a stance, in coarse cells.
 _HALF_STANCE = 4
+# The steepest slope that a foot is set on, 10.5° [m/m].
+_STEEPEST = 0.185
+# The part of the heights in a slope that is due to the cells, in cells.
+_ROUNDING_CELLS = 3.0
 # The height of a place where no foot may be set [m]; the rim of the table in cells.
 _NOWHERE, _RIM = -3.0, 40
 
@@ -35,21 +39,29 @@ class HeightTable:
     """
 
     def __init__(
-        self, ground: Ground, forbidden: Sequence[Patch], places: np.ndarray, goal: complex
+        self,
+        ground: Ground,
+        forbidden: Sequence[Patch],
+        places: np.ndarray,
+        goal: complex,
+        *,
+        slopes: bool = False,
     ) -> None:
         """Make the table around places (n,) and the goal.
 
-        `forbidden` are further places where no foot may be set.
+        `forbidden` are further places where no foot may be set. With `slopes`, even ground of a
+        small slope counts as level. Without, the table `refuses_slopes` if there are any.
         """
         points = np.append(places, goal).view(float).reshape(-1, 2)
         self._low = np.floor((points.min(axis=0) - _AROUND) / _CELL).astype(int)
         shape = np.ceil((points.max(axis=0) + _AROUND) / _CELL).astype(int) - self._low
-        table = np.zeros(shape)
+        table, rise = np.zeros(shape), np.zeros(shape)
         closed = np.zeros(shape, dtype=bool)
         for patch in ground.patches:
             rows, columns = self._span(patch.x, 0, shape), self._span(patch.y, 1, shape)
             x = (np.arange(rows.start, rows.stop) + self._low[0] + 0.5) * _CELL
             table[rows, columns] = (patch.z + patch.rise * (x - patch.x[0]))[:, None]
+            rise[rows, columns] = patch.rise
             closed[rows, columns] = not patch.allowed
         for patch in forbidden:
             closed[self._span(patch.x, 0, shape), self._span(patch.y, 1, shape)] = True
@@ -57,6 +69,9 @@ class HeightTable:
         lowest = np.where(closed, _NOWHERE, table)
         self.highest = _spread(table, np.maximum).ravel()
         self.lowest = _spread(lowest, np.minimum).ravel()
+        self.refuses_slopes = bool(rise.any()) and not slopes
+        rise[np.abs(rise) > _STEEPEST] = 0.0
+        self._rise = rise.ravel() if slopes and rise.any() else None
         self._rows, self._columns = (int(n) for n in shape)
         self.uniform = bool(np.ptp(lowest) == 0.0)
         # Whole tenths of a millimetre, with a rim as wide as a sole, for `level`.
@@ -128,8 +143,21 @@ class HeightTable:
         here = self._fine_highest[origins]
         top = np.maximum(here, self._fine_highest[under].max(axis=1))
         bottom = np.minimum(here, self._fine_lowest[under].min(axis=1))
-        level: np.ndarray = top <= bottom + round(2e4 * TOLERANCE)
-        return level
+        level: np.ndarray = top <= bottom + round(2e4 * _TOLERANCE)
+        return level if self._rise is None else level | (self._rise[cells] != 0.0)
+
+    def plane(self, points: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the height of points (n, m) above places (n,), on the plane of the slope there.
+
+        The second value is the tolerance with which they are on it, (n,) [m].
+        """
+        if self._rise is None:
+            return np.zeros((1, 1)), np.full(len(places), _TOLERANCE)
+        rise = self._rise[self.cells_of(places)]
+        # Both heights are those of a cell and of its neighbours.
+        return rise[:, None] * (points.real - places.real[:, None]), _TOLERANCE + np.abs(
+            _ROUNDING_CELLS * _CELL * rise
+        )
 
     def _ways_to(self, goal: complex) -> np.ndarray:
         """Ways from the cells of a coarse grid to the goal [m], raveled."""

@@ -85,7 +85,10 @@ def going(robot: Robot, config: RunConfig) -> Motion:
     """Make the motion of the task `go`. Raise `ConfigError` if no way to the goal is found."""
     ground = make_ground(config.ground, seed=config.seed)
     walk = config.walk
-    motion = Walking(robot, walk, steps=find_footsteps(robot, walk, ground, walk.place))
+    # Feet that land by touch turn onto a slope. Feet that land by the clock have to be level.
+    slopes = config.stepping.mode != "off"
+    steps = find_footsteps(robot, walk, ground, walk.place, slopes=slopes)
+    motion = Walking(robot, walk, steps=steps)
     if config.duration < motion.duration:
         raise ConfigError(
             f"duration: expected at least the {motion.duration:.1f} s of the {len(motion.steps)} "

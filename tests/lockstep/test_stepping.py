@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from experiments.lockstep import Lockstep
 from shared.config.config_file import load_config
+from shared.robots import Foot
 from shared.telemetry.schema import STEP_SCHEMA, FootprintKind
 from shared.wbc.contacts import ContactMode
+from shared.wbc.model import WholeBodyModel
 from tests.lockstep.test_pushes import ITS_LIMITS
 
 STEPS = {
@@ -115,6 +119,18 @@ def test_a_walk_goes_over_blocks_that_no_plan_knows():
     # The toes of both are on blocks.
     assert min(foot.x for foot in lockstep.robot.clock.feet.values()) > 0.1
     assert max(abs(foot.z) for foot in lockstep.robot.clock.feet.values()) > 5e-3
+
+
+def test_feet_that_land_by_touch_turn_onto_a_slope(robot):
+    settings = {"wbc.weights.com": 100.0, "wbc.weights.swing_foot": 10.0, "walk.com_lowering": 0.03}
+    way = {"task": "go", "ground": "slope:8deg", "walk.goal": "0.42,0", "walk.end_duration": 0.8}
+    _, result = play(**{**WALK, **settings, **way}, duration=3.5)
+    assert not result.summary["fell"]
+    q = result.schema.column(result.rows, "q")[-1]
+    soles = WholeBodyModel(robot).sole_placements(q)
+    for foot in Foot:
+        assert soles[foot].translation[0] > 0.3
+        assert math.degrees(math.asin(soles[foot].rotation[2, 0])) == pytest.approx(8.0, abs=1.5)
 
 
 def test_a_walk_whose_link_dies_ends_in_a_stand():

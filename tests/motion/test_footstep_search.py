@@ -162,7 +162,7 @@ def test_forbidden_places_are_passed_by(robot, walk):
         ("gap:50cm", "1.2,0", "found no way to 1.2, 0"),
         ("stairs:1x18cm", "0.8,0", "found no way"),
         ("gap:50cm", "0.6,0", "expected level ground for both feet within 0.16 m of 0.6, 0"),
-        ("slope:8deg", "1,0", "expected level ground"),
+        ("slope:8deg", "1,0", r"another goal, or steps by touch over a slope \(--stepping on\)$"),
     ],
 )
 def test_a_goal_out_of_reach_is_refused_in_bounded_work(
@@ -172,6 +172,20 @@ def test_a_goal_out_of_reach_is_refused_in_bounded_work(
     with pytest.raises(NoFootstepsError, match=reason) as error:
         find_footsteps(robot, walk, make_ground(ground, seed=0), parse_goal(goal))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("goal", ["1.2,0", "1,0.3,30deg"])
+def test_by_touch_the_way_leads_over_a_slope_of_even_ground(robot, walk, goal):
+    ground, slope = make_ground("slope:8deg", seed=0), math.tan(math.radians(8.0))
+    steps = find_footsteps(robot, walk, ground, parse_goal(goal), slopes=True)
+    on_slope = [step.goal for step in steps if step.goal.x > 0.3]
+    assert len(on_slope) >= 4
+    for at in on_slope:
+        plane = at.z + slope * (corners(robot, at)[:, 0] - at.x)
+        np.testing.assert_allclose(ground.heights(corners(robot, at)), plane, atol=3e-3)
+    steep = make_ground("slope:12deg", seed=0)
+    with pytest.raises(NoFootstepsError):
+        find_footsteps(robot, walk, steep, parse_goal(goal), slopes=True)
 
 
 def test_from_any_stance_the_search_goes_on(robot, walk):
