@@ -206,9 +206,9 @@ def test_a_later_search_keeps_the_table_as_long_as_the_feet_are_on_it(
     made = []
 
     class Counted(footstep_search.HeightTable):
-        def __init__(self, *args):
+        def __init__(self, *args, **kwargs):
             made.append(self)
-            super().__init__(*args)
+            super().__init__(*args, **kwargs)
 
     monkeypatch.setattr(footstep_search, "HeightTable", Counted)
     ground, goal = make_ground("stairs:1x5cm", seed=0), parse_goal("0.8,0")
