@@ -62,6 +62,8 @@ from shared.wire.codec import Codec
 from shared.wire.messages import RobotState, StepReport
 from shared.wire.operator.commands import PushCommand, Reset, RobotCommand, SwitchController
 
+# An answer whose age is more than this part of `loop.hold_after` shows a stalled link.
+_STALLED = 0.5
 # Pushes of an operator that act at the same time.
 _MAX_PUSHES = 20
 
@@ -231,7 +233,14 @@ class RobotNode:
         measured = Measured(
             self._model.kinematics(self._q, self._v), self.controller.disturbance, forces
         )
-        return self.clock.reference(measured, time_ns=self._plan_ns, decides=self.running)
+        on_both_feet = self.clock.mode is ContactMode.DOUBLE_SUPPORT
+        decides = self.running and not (on_both_feet and self._answers_stall())
+        return self.clock.reference(measured, time_ns=self._plan_ns, decides=decides)
+
+    def _answers_stall(self) -> bool:
+        """Return whether no foot may lift, because the newest answer would expire in the air."""
+        age_ns = self._measured_ns - self.cache.newest_stamp_ns
+        return self.controller.answers_expire and age_ns > _STALLED * self._hold_after_ns
 
     def _step_report(self) -> StepReport | None:
         clock, plans = self.clock, self.plans

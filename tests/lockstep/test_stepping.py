@@ -121,6 +121,15 @@ def test_a_walk_goes_over_blocks_that_no_plan_knows():
     assert max(abs(foot.z) for foot in lockstep.robot.clock.feet.values()) > 5e-3
 
 
+def test_no_foot_of_la_lifts_into_a_dead_link():
+    """The first step would begin 0.33 s after the newest answer, which expires after 0.5 s."""
+    settings = {"controller": "la", "link.outage": ["cut@300ms"]}
+    lockstep, result = play(**{**WALK, **settings}, duration=0.9)
+    assert lockstep.robot.plans.plan >= 0
+    assert lockstep.robot.clock.phase == 0
+    assert not result.summary["fell"]
+
+
 def test_feet_that_land_by_touch_turn_onto_a_slope(robot):
     settings = {"wbc.weights.com": 100.0, "wbc.weights.swing_foot": 10.0, "walk.com_lowering": 0.03}
     way = {"task": "go", "ground": "slope:8deg", "walk.goal": "0.42,0", "walk.end_duration": 0.8}
