@@ -15,6 +15,7 @@ from shared.motion import footstep_search
 from shared.motion.footstep_search import FootstepSearch, NoFootstepsError, find_footsteps
 from shared.motion.footsteps import MAX_TURN, standing_footprints
 from shared.motion.ground import FLAT, Ground, Patch, make_ground
+from shared.motion.height_table import HeightTable
 from shared.motion.walking import Walking
 from shared.robots import Foot
 from shared.robots.standing import leg_length
@@ -205,7 +206,7 @@ def test_a_later_search_keeps_the_table_as_long_as_the_feet_are_on_it(
 ):
     made = []
 
-    class Counted(footstep_search.HeightTable):
+    class Counted(HeightTable):
         def __init__(self, *args, **kwargs):
             made.append(self)
             super().__init__(*args, **kwargs)
