@@ -62,8 +62,6 @@ from shared.wire.codec import Codec
 from shared.wire.messages import RobotState, StepReport
 from shared.wire.operator.commands import PushCommand, Reset, RobotCommand, SwitchController
 
-# An answer whose age is more than this part of `loop.hold_after` shows a stalled link.
-_STALLED = 0.5
 # Pushes of an operator that act at the same time.
 _MAX_PUSHES = 20
 
@@ -240,7 +238,8 @@ class RobotNode:
     def _answers_stall(self) -> bool:
         """Return whether no foot may lift, because the newest answer would expire in the air."""
         age_ns = self._measured_ns - self.cache.newest_stamp_ns
-        return self.controller.answers_expire and age_ns > _STALLED * self._hold_after_ns
+        allowed_ns = self._config.stepping.lift_within * self._hold_after_ns
+        return self.controller.answers_expire and age_ns > allowed_ns
 
     def _step_report(self) -> StepReport | None:
         clock, plans = self.clock, self.plans

@@ -398,7 +398,8 @@ class SteppingConfig:
     prediction is outside the support; to the left or right it must be `beyond_sideways` outside,
     because the hip strategy helps longer there. The robot decides anew every `period_ns`, until
     `freeze` before the swing foot lands. A foot counts as loaded when its measured force exceeds
-    `landing_force`. Both feet then stay loaded for at least `double_support`.
+    `landing_force`. Both feet then stay loaded for at least `double_support`. No foot of LA or PR
+    lifts into a stalled link: see `lift_within`.
     """
 
     mode: str = setting(
@@ -433,6 +434,12 @@ class SteppingConfig:
         0.03, help="least time on both feet between steps", unit="s", at_least=0.0
     )
     swing_height: float = setting(0.04, help="height of the swing foot", unit="m", at_least=0.0)
+    lift_within: float = setting(
+        0.5,
+        help="age of the newest answer up to which a foot of LA or PR lifts, × `loop.hold_after`",
+        at_least=0.0,
+        may_be_infinite=True,
+    )
 
 
 @dataclass(frozen=True)

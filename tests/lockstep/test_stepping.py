@@ -128,6 +128,8 @@ def test_no_foot_of_la_lifts_into_a_dead_link():
     assert lockstep.robot.plans.plan >= 0
     assert lockstep.robot.clock.phase == 0
     assert not result.summary["fell"]
+    without, _ = play(**{**WALK, **settings, "stepping.lift_within": np.inf}, duration=0.9)
+    assert without.robot.clock.phase > 0
 
 
 def test_feet_that_land_by_touch_turn_onto_a_slope(robot):
