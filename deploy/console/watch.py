@@ -31,6 +31,7 @@ from shared.config.settings import RunConfig
 from shared.errors import LinkError, MessageRefused, writing
 from shared.output.summary import summary_in_words
 from shared.process.cli import EXIT_STANDING, Parser, run
+from shared.process.realtime import just_above_ordinary
 from shared.process.run_options import add_run_arguments, config_from
 from shared.process.service import StopSignal
 from shared.robots import load_robot
@@ -138,7 +139,8 @@ def open_hub(endpoint: str, status: Status, robot: str, *, out: Path | None = No
     # The socket is private from its first moment.
     before = os.umask(0o177)
     try:
-        hub = ZenohBus(listen=[endpoint], mode="router")
+        with just_above_ordinary():
+            hub = ZenohBus(listen=[endpoint], mode="router")
     finally:
         os.umask(before)
     hub.subscribe(TICKS_KEY.format(robot=robot), status.take_ticks)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import math
 import os
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 _PR_SET_TIMERSLACK = 29
@@ -29,6 +31,25 @@ def prepare(*, priority: int) -> str:
     except (OSError, AttributeError):
         return "ordinary scheduling (real-time needs root or an rtprio limit)"
     return f"SCHED_FIFO {priority}"
+
+
+@contextlib.contextmanager
+def just_above_ordinary() -> Iterator[None]:
+    """Give threads that start in this context the lowest real-time priority, if it is permitted.
+
+    It is below that of every service, and above all ordinary programs. It is for threads that use
+    little time, and that an operator waits for.
+    """
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except (OSError, AttributeError):
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)
 
 
 class RealtimeBudget:

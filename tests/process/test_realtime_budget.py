@@ -7,7 +7,12 @@ import os
 import pytest
 
 from shared.process import realtime
-from shared.process.realtime import RealtimeBudget, RealtimeShare, realtime_share
+from shared.process.realtime import (
+    RealtimeBudget,
+    RealtimeShare,
+    just_above_ordinary,
+    realtime_share,
+)
 from tests.members import replace_members
 
 MS = 1_000_000
@@ -131,3 +136,10 @@ def test_without_real_time_scheduling_a_share_changes_nothing(core, policies):
     policies[:] = [(os.SCHED_OTHER, 0)]
     turns(core, RealtimeShare(0.2), work_ns=MS, idle_ns=0)
     assert policies == [(os.SCHED_OTHER, 0)]
+
+
+def test_threads_of_a_context_start_just_above_ordinary_ones(policies):
+    policies[:] = [(os.SCHED_OTHER, 0)]
+    with just_above_ordinary():
+        assert policies[-1] == (os.SCHED_FIFO, 1)
+    assert policies[-1] == (os.SCHED_OTHER, 0)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import time
 from collections.abc import Callable
 from functools import partial
 
 from shared.bus.operator import CommandClient
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.settings import RunConfig
+from shared.process.realtime import RealtimeShare, prepare
 from shared.robots import load_robot
 from shared.wire.operator.events import CommandEvent
 from shared.wire.operator.messages import EVENTS_KEY, VIEW_KEY, encode_event
@@ -26,6 +28,8 @@ from viewer.title import parts
 PORT = 9090
 # The time between two looks at the queue [s]. The robot's blocks come ten times a second.
 _LOOK = 0.02
+# The part of a core that the page has before ordinary programs. It takes about 0.04.
+_REALTIME_SHARE = 0.1
 
 
 def watch_page(
@@ -40,6 +44,9 @@ def watch_page(
     Print a line that starts with READY, the address alone on a line, and a line at the end.
     """
     os.nice(NICENESS)
+    # A browser that draws takes all the time that the services leave.
+    prepare(priority=1)
+    share = RealtimeShare(_REALTIME_SHARE)
     robot = load_robot(config.robot.name)
     hulls = load_hulls(robot)
     blocks, events = BlockQueue(), BlockQueue()
@@ -64,6 +71,7 @@ def watch_page(
         say(server.address)
         waits = True
         while not stopped():
+            share.keep(time.monotonic_ns())
             changed = [feed.take(blocks.take()), feed.take_events(events.take())]
             if any(changed):
                 server.show(feed.state)
