@@ -257,10 +257,14 @@ def test_messages_themselves_are_stopped_even_where_subscriptions_are_not(
         rogue.attack(lambda: True, lambda: "")
         # What comes later, of those who may, comes through.
         until(lambda: is_heard(states) and is_heard(projectors), "robot and edge are not joined")
-        for _ in range(20):
+
+        # The router may know one end before the other: the first ones may get lost.
+        def through() -> bool:
             projectors.publish(b"not for talos")
             states.publish(b"of romeo")
-        until(lambda: len(answers) == len(arrived) == 20, lambda: f"{answers} {arrived}")
+            return min(len(answers), len(arrived)) >= 20
+
+        until(through, lambda: f"{answers} {arrived}")
     finally:
         for bus in (rogue, robot, edge, router):
             bus.close()
