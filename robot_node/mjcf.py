@@ -17,7 +17,7 @@ import pinocchio as pin
 from shared.config.settings import PlantConfig
 from shared.errors import ConfigError
 from shared.motion.ground import FLAT, HOLE, Ground, Patch
-from shared.robots import Foot, Robot, Sole
+from shared.robots import GRAVITY, Foot, Robot, Sole
 
 _SOLE_THICKNESS = 0.01
 # The extent of the ground beyond its patches, and below the deepest hole [m].
@@ -35,7 +35,7 @@ def mjcf(robot: Robot, plant: PlantConfig, *, timestep: float, ground: Ground = 
         integrator="implicitfast",
         cone="elliptic",
         solver="Newton",
-        gravity="0 0 -9.81",
+        gravity=f"0 0 {-GRAVITY}",
     )
     world = Xml.SubElement(root, "worldbody")
     contact: dict[str, Any] = {

@@ -103,8 +103,9 @@ class PlanCache:
             raise MessageRefused("stamp", f"{message.stamp_ns}, sent {stamp_ns}")
 
     def _take_law(self, law: StepLaw) -> None:
+        numbers = _numbers(law)
         for name, ours in _numbers(self._own).items():
-            theirs = _numbers(law)[name]
+            theirs = numbers[name]
             if theirs.shape != ours.shape or not np.allclose(
                 theirs, ours, rtol=0.0, atol=_ROUNDING * np.abs(ours).max(initial=1.0)
             ):

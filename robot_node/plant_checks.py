@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from robot_node.plant import Plant
 from robot_node.safety import JointHold
-from shared.robots import Foot, Robot
+from shared.robots import GRAVITY, Foot, Robot
 from shared.robots.standing import standing_torques
 
 _TURN = 0.5
@@ -21,7 +21,6 @@ _TICKS = 50
 # Ticks after which contacts have come to rest.
 _SETTLED = 200
 _NO_PUSH = np.zeros(3)
-_GRAVITY = 9.81
 _PUSH = 20.0
 
 Make = Callable[[], Plant]
@@ -95,7 +94,7 @@ def _bears_its_weight(make: Make, robot: Robot, timestep: float) -> Iterator[str
     if set(forces) != set(Foot) or any(np.shape(force) != (3,) for force in forces.values()):
         yield f"expected a force (3,) for each foot from contact_forces(), got {forces!r}"
         return
-    weight, total = robot.mass * _GRAVITY, float(sum(force[2] for force in forces.values()))
+    weight, total = robot.mass * GRAVITY, float(sum(force[2] for force in forces.values()))
     if not abs(total - weight) < 0.1 * weight:
         yield (
             f"expected forces of the floor that bear {weight:.0f} N, got {total:.0f}; they act on "

@@ -14,7 +14,7 @@ import numpy as np
 
 from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
-from shared.robots import Robot
+from shared.robots import GRAVITY, Robot
 from shared.wbc.answer import Factorisation, Projector
 from shared.wbc.assisted import apply_projector
 from shared.wbc.contacts import ContactMode
@@ -35,7 +35,6 @@ _JOINT_DISTANCE, _JOINT_NOISE = 0.3, 6.0
 # tested at its own state. With answers 120 ms old Romeo lacks up to 0.15 and 0.11 in a push; with
 # no forces at all, 1.
 _FORCE, _MOMENT = 0.2, 0.2
-_GRAVITY = 9.81
 # The tolerance of an equality at the projector's own state, as a part of the largest equality row.
 # Measured in single precision: 1e-5.
 _EXACT = 1e-2
@@ -113,7 +112,7 @@ class ProjectorVerifier:
         self._stacks = stacks
         self._reference = reference
         self._open_tests = {mode: OpenRowsTest(stack, rng=rng) for mode, stack in stacks.items()}
-        weight = _GRAVITY * model.robot.mass
+        weight = GRAVITY * model.robot.mass
         self._force = (_FORCE * weight) ** 2
         self._moment = (_MOMENT * weight * float(reference.com[2])) ** 2
 

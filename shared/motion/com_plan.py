@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-GRAVITY = 9.81
+from shared.robots import GRAVITY
 
 
 @dataclass(frozen=True)

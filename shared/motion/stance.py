@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from shared.motion.com_plan import GRAVITY
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import standing_footprints
-from shared.robots import Foot, Robot
+from shared.robots import GRAVITY, Foot, Robot
 from shared.wbc.reference import turned
 
 

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.config.settings import WalkConfig
-from shared.motion.com_plan import GRAVITY, ComPlan, ZmpSegment, dcm_plan
+from shared.motion.com_plan import ComPlan, ZmpSegment, dcm_plan
 from shared.motion.cross_fade import CrossFade
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import Step, plan_footsteps
 from shared.motion.mpc_plan import SupportPhase, mpc_plan
 from shared.motion.standing import Standing
 from shared.motion.swing import quintic, swing
-from shared.robots import Foot, Robot
+from shared.robots import GRAVITY, Foot, Robot
 from shared.wbc.contacts import ContactMode
 from shared.wbc.reference import Motion, Reference, motion_digest, turned
 

@@ -16,6 +16,10 @@ _PR_SET_TIMERSLACK = 29
 _RUNTIME, _PERIOD = (Path(f"/proc/sys/kernel/sched_rt_{name}_us") for name in ("runtime", "period"))
 
 
+# Above ordinary programs, and below every service.
+LOWEST_PRIORITY = 1
+
+
 def prepare(*, priority: int) -> str:
     """Ask for precise timers and real-time scheduling. Return the scheduling in words.
 
@@ -42,7 +46,7 @@ def just_above_ordinary() -> Iterator[None]:
     """
     try:
         before = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LOWEST_PRIORITY))
     except (OSError, AttributeError):
         yield
         return

@@ -24,10 +24,9 @@ from typing import Any
 
 import pinocchio as pin
 
-from shared.robots.description import Foot, Robot
+from shared.robots.description import GRAVITY, Foot, Robot
 from shared.robots.standing import leg_reach, placements
 
-_GRAVITY = 9.81
 _RATIO = 0.1
 _PUSHED = 0.8
 _PUSH_SECONDS = 0.2
@@ -40,7 +39,7 @@ _COM_WEIGHT = 10.0
 def derived_settings(robot: Robot) -> dict[str, dict[str, Any]]:
     """Return the settings of a robot file by the rule, by task and dotted key."""
     com = pin.centerOfMass(robot.model, robot.model.createData(), robot.q_standing)
-    height, omega = float(com[2]), math.sqrt(_GRAVITY / float(com[2]))
+    height, omega = float(com[2]), math.sqrt(GRAVITY / float(com[2]))
     half_length = min(sole.x[1] - sole.x[0] for sole in robot.soles) / 2
     force = 8.0 * _RATIO * (half_length / (robot.mass * height)) ** 2
     push = _PUSHED * robot.mass * omega * _to_outer_edge(robot, float(com[1])) / _PUSH_SECONDS

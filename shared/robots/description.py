@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     import pinocchio as pin
 
 
+# Acceleration of gravity [m/s²], of every model and plant.
+GRAVITY = 9.81
+
+
 class Foot(str, enum.Enum):
     """A foot by its side."""
 

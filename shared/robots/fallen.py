@@ -10,6 +10,9 @@ import numpy as np
 # angle [rad].
 FALLEN_COM_HEIGHT = 0.6
 FALLEN_TILT = 1.0
+# The height of the CoM over a sole with which laws compute for a robot that has fallen, at least
+# [m].
+LEAST_COM_HEIGHT = 0.1
 
 
 def has_fallen(q: np.ndarray, *, com_height: float, standing_com_height: float) -> bool:

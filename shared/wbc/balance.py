@@ -21,19 +21,17 @@ import numpy as np
 import pinocchio as pin
 
 from shared.config.settings import BalanceConfig
-from shared.robots import Foot, Robot
+from shared.robots import GRAVITY, Foot, Robot
+from shared.robots.fallen import LEAST_COM_HEIGHT
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import Kinematics
 from shared.wbc.reference import Reference
 
-_GRAVITY = 9.81
 # The support is computed again when a sole has moved by this distance [m].
 _MOVED = 2e-3
 # The largest force of an estimate, as an acceleration of the robot's mass [m/s²]. A larger one is
 # from a fall or a fault, and would last long after it. Robots that stand have up to 6.
-_STRONGEST = _GRAVITY
-# A CoM lower than this over its soles is that of a fallen robot [m].
-_MIN_HEIGHT = 0.1
+_STRONGEST = GRAVITY
 
 Point = tuple[float, float]
 
@@ -67,8 +65,8 @@ class BalanceLaw:
         soles = {foot: now.sole_placement(foot) for foot in reference.mode.feet}
         origins = [sole.translation.tolist() for sole in soles.values()]
         ground = min(origin[2] for origin in origins)
-        self._height = max(height - ground, _MIN_HEIGHT)
-        omega_2 = _GRAVITY / self._height
+        self._height = max(height - ground, LEAST_COM_HEIGHT)
+        omega_2 = GRAVITY / self._height
         omega, gain = math.sqrt(omega_2), self._config.gain
         x_ref, y_ref, _ = reference.com.tolist()
         rate_x_ref, rate_y_ref, _ = reference.com_velocity.tolist()
@@ -91,7 +89,7 @@ class BalanceLaw:
 
         It is zero within the dead band.
         """
-        shift = np.array(self._disturbance) * (self._height / _GRAVITY)
+        shift = np.array(self._disturbance) * (self._height / GRAVITY)
         return shift if math.hypot(*shift.tolist()) > self._config.dead_band else np.zeros(2)
 
     def _find_support(

@@ -15,14 +15,13 @@ from typing import Protocol
 import numpy as np
 import pinocchio as pin
 
-from shared.robots import Foot
+from shared.robots import GRAVITY, Foot
+from shared.robots.fallen import LEAST_COM_HEIGHT
 from shared.wbc.model import Jacobians, Kinematics, RowMultipliers
 from shared.wbc.reference import Reference, turned
 
 # Acceleration of gravity in the world [m/s²].
-_GRAVITY = np.array((0.0, 0.0, -9.81))
-# A CoM lower than this over its soles is that of a fallen robot [m].
-_MIN_HEIGHT = 0.1
+_GRAVITY_IN_WORLD = np.array((0.0, 0.0, -GRAVITY))
 
 
 class Task(Protocol):
@@ -236,14 +235,14 @@ class CopTask:
         height = _height(com[2])
         command, acceleration = reference.com_command, reference.com_acceleration
         if command is None:
-            force = sole_from_world.dot(acceleration - _GRAVITY)
+            force = sole_from_world.dot(acceleration - _GRAVITY_IN_WORLD)
             com_reference = sole_from_world.dot(reference.com - sole.translation)
             cop = com_reference - force * (com_reference[2] / force[2])
             asked = (com - cop) * (force[2] / height)
         else:
             # From the law's CoP its force passes through the CoM.
-            asked = sole_from_world.dot(np.append(command, acceleration[2]) - _GRAVITY)
-        asked -= sole_from_world.dot(kinematics.com_acceleration - _GRAVITY)
+            asked = sole_from_world.dot(np.append(command, acceleration[2]) - _GRAVITY_IN_WORLD)
+        asked -= sole_from_world.dot(kinematics.com_acceleration - _GRAVITY_IN_WORLD)
         _, rate = kinematics.angular_momentum()
         turn = sole_from_world.dot(rate) / (self._mass * height)
         rows[0] = self._root * (asked[0] - turn[1])
@@ -324,7 +323,7 @@ def _angular_momentum_rows(jacobians: Jacobians) -> np.ndarray:
 
 def _height(height: float) -> float:
     """The height of the CoM over a sole [m], never that of a fallen robot."""
-    return max(float(height), _MIN_HEIGHT)
+    return max(float(height), LEAST_COM_HEIGHT)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:

@@ -10,11 +10,10 @@ import pytest
 
 from shared.config.settings import WalkConfig
 from shared.errors import ConfigError
-from shared.motion.com_plan import GRAVITY
 from shared.motion.footsteps import Step, plan_footsteps
 from shared.motion.standing import Standing
 from shared.motion.walking import Walking
-from shared.robots import Foot
+from shared.robots import GRAVITY, Foot
 from shared.wbc.contacts import ContactMode
 
 MS = 1_000_000

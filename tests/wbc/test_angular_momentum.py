@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.wbc.correction import Corrector, Iterate
 from shared.wbc.projector import solve
 from shared.wbc.qp import DaqpSolver
 from shared.wbc.stack import Stack
@@ -38,8 +37,7 @@ def test_the_projector_reproduces_the_full_qp(turning, states):
 def test_one_correction_with_a_fresh_factorisation_is_the_optimum(turning, pairs, level):
     for state, _ in pairs[:4]:
         expected = turning.optimum(state).x
-        corrector = Corrector(turning.stack, turning.factorise(state.q), level=level)
-        iterate, _ = turning.step(corrector, Iterate.zero(turning.stack), state)
+        iterate = turning.converged(turning.factorise(state.q), state, level=level, steps=1)
         assert relative(iterate.y - expected, expected) < TOLERANCE
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from shared.robots import Foot
-from shared.wbc.correction import Corrector, Iterate
 from shared.wbc.projector import solve
 from shared.wbc.qp import DaqpSolver
 from shared.wbc.stack import Stack
@@ -86,8 +85,7 @@ def standing_in_motion(robot):
 def test_one_correction_with_a_fresh_factorisation_is_the_optimum(pressing, pairs, level):
     for state, _ in pairs[:4]:
         expected = pressing.optimum(state).x
-        corrector = Corrector(pressing.stack, pressing.factorise(state.q), level=level)
-        iterate, _ = pressing.step(corrector, Iterate.zero(pressing.stack), state)
+        iterate = pressing.converged(pressing.factorise(state.q), state, level=level, steps=1)
         assert relative(iterate.y - expected, expected) < TOLERANCE
 
 

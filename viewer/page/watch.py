@@ -12,7 +12,7 @@ from functools import partial
 from shared.bus.operator import CommandClient
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.settings import RunConfig
-from shared.process.realtime import RealtimeShare, prepare
+from shared.process.realtime import LOWEST_PRIORITY, RealtimeShare, prepare
 from shared.robots import load_robot
 from shared.wire.operator.events import CommandEvent
 from shared.wire.operator.messages import EVENTS_KEY, VIEW_KEY, encode_event
@@ -45,7 +45,7 @@ def watch_page(
     """
     os.nice(NICENESS)
     # A browser that draws takes all the time that the services leave.
-    prepare(priority=1)
+    prepare(priority=LOWEST_PRIORITY)
     share = RealtimeShare(_REALTIME_SHARE)
     robot = load_robot(config.robot.name)
     hulls = load_hulls(robot)
