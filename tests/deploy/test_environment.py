@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -92,6 +93,51 @@ def test_a_child_has_nothing_of_the_callers_python_and_speaks_utf_8(foreign: Pat
     done = ran(python("-c", script), cwd=foreign, PYTHONPATH=str(foreign), PYTHONIOENCODING="ascii")
     assert done.stdout.startswith("1 utf-8 é→ "), done.stderr
     assert str(foreign) not in done.stdout
+
+
+def stand_in(folder: Path, *, config: str, version: str) -> Path:
+    """A Python that tells how it was built, and ends where it would make an environment."""
+    folder.mkdir()
+    script = folder / "python3.11"
+    script.write_text(
+        "#!/bin/sh\n"
+        'case "$*" in\n'
+        f"    *--version*) echo 'Python {version}' ;;\n"
+        f"    *sysconfig*) exit {int(config == 'optimised')} ;;\n"
+        "    *'-m venv'*) exit 3 ;;\n"
+        "esac\n"
+    )
+    script.chmod(0o755)
+    return script
+
+
+@pytest.mark.parametrize(
+    ("others", "taken"),
+    [
+        ([("plain", "3.99.9"), ("optimised", "3.99.2")], 1),
+        ([("optimised", "3.99.9"), ("optimised", "3.99.2")], 0),
+        ([("plain", "3.99.9"), ("plain", "3.99.2"), ("optimised", "3.99.1")], 2),
+        ([("plain", "3.99.9"), ("optimised", "3.98.2")], 0),
+    ],
+)
+def test_setup_takes_an_optimised_python_of_the_same_version(
+    others: list[tuple[str, str]], taken: int, tmp_path: Path
+) -> None:
+    checkout = tmp_path / "checkout"
+    (checkout / "deploy").mkdir(parents=True)
+    for name in ("setup", "python"):
+        shutil.copy(ROOT / "deploy" / name, checkout / "deploy")
+    (checkout / "requirements.lock").touch()
+    pythons = [
+        stand_in(tmp_path / f"bin{k}", config=config, version=version)
+        for k, (config, version) in enumerate(others)
+    ]
+    path = os.pathsep.join([*(str(each.parent) for each in pythons), "/usr/bin", "/bin"])
+    done = ran([str(checkout / "deploy/setup")], cwd=tmp_path, PATH=path, PYTHON="")
+    assert done.returncode == 3, done.stderr
+    told = [line for line in done.stdout.splitlines() if "creating .venv" in line]
+    name = str(pythons[taken]) if taken else "python3.11"
+    assert told[0].startswith(f"setup: creating .venv with Python {others[taken][1]}, {name}, ")
 
 
 def bare(folder: Path, *importable: Path) -> str:
