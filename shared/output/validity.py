@@ -107,7 +107,7 @@ def stalls_s(
         "uplink": max(len(run) for run in runs) * 1e-3,
         "end": max(0.0, later * 1e-3 - nominal_ns[up].max(initial=0.0) * 1e-9),
     }
-    waited = passed & (nominal_ns > nominal_ns[passed].min(initial=np.inf) + OUTAGE_NS)
+    waited = _waited(link_rows)
     late_ns = (achieved_ns - nominal_ns)[
         of_task & passed & ~waited & ~_behind(waited, direction, sent_ns, achieved_ns)
     ]
@@ -122,6 +122,19 @@ def stalls_s(
         stood_ns -= _silence_ns(arrival_ns, until_ns=left_ns)
         found["edge"] = float(stood_ns.max(initial=0.0)) * 1e-9
     return {part: round(seconds, 4) for part, seconds in found.items()}
+
+
+def _waited(link_rows: np.ndarray) -> np.ndarray:
+    """Return which messages waited in an outage of their direction and then passed."""
+    direction, nominal_ns, achieved_ns = (
+        LINK_SCHEMA.column(link_rows, name) for name in ("direction", "nominal_ns", "achieved_ns")
+    )
+    waited = np.zeros(len(link_rows), dtype=bool)
+    for way in range(len(DIRECTIONS)):
+        passed = (direction == way) & (achieved_ns >= 0)
+        least_ns = nominal_ns[passed].min(initial=np.inf)
+        waited |= passed & (nominal_ns > least_ns + OUTAGE_NS)
+    return waited
 
 
 def _behind(
@@ -187,16 +200,14 @@ def shim_ms(link_rows: np.ndarray) -> dict[str, dict[str, float | None]]:
 
     Messages that waited in an outage are left out: at its end hundreds are due at once.
     """
-    late = {}
-    for direction, name in enumerate(DIRECTIONS):
-        way = link_rows[LINK_SCHEMA.column(link_rows, "direction") == direction]
-        nominal_ns = LINK_SCHEMA.column(way, "nominal_ns")
-        achieved_ns = LINK_SCHEMA.column(way, "achieved_ns")
-        passed = achieved_ns >= 0
-        least_ns = nominal_ns[passed].min(initial=np.inf)
-        soon = passed & (nominal_ns <= least_ns + OUTAGE_NS)
-        late[name] = quantiles((achieved_ns - nominal_ns)[soon] * 1e-6)
-    return late
+    direction, nominal_ns, achieved_ns = (
+        LINK_SCHEMA.column(link_rows, name) for name in ("direction", "nominal_ns", "achieved_ns")
+    )
+    soon = (achieved_ns >= 0) & ~_waited(link_rows)
+    late_ms = (achieved_ns - nominal_ns) * 1e-6
+    return {
+        name: quantiles(late_ms[soon & (direction == way)]) for way, name in enumerate(DIRECTIONS)
+    }
 
 
 def invalid_reasons(

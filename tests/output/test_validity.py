@@ -196,6 +196,16 @@ def test_the_longest_standstill_of_each_part_is_found(
     assert part is None or f"for {found[part]:.2f} s" in told[0]
 
 
+def test_a_standstill_in_the_slower_direction_is_found() -> None:
+    # A state on a link of 5 ms and its answer on one of 60 ms, which the shim releases 350 ms late.
+    link = link_of(np.zeros(2), np.array([0.0, 350.0]))
+    link[1, LINK_SCHEMA.slices["direction"]] = 1
+    for delay in ("nominal_ns", "achieved_ns"):
+        link[1, LINK_SCHEMA.slices[delay]] += 55 * MS
+    assert stalls_s(TICKS, a_task(1000), link, None)["shim"] == pytest.approx(0.35)
+    assert shim_ms(link)["downlink"]["max"] == 350.0
+
+
 def test_an_outage_of_the_link_is_no_standstill() -> None:
     link = link_of(ALL)
     waited = np.where((ALL >= 300) & (ALL < 700), 705 - ALL, 5)
