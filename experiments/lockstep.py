@@ -105,7 +105,9 @@ class Lockstep:
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
         self._numbers = itertools.count()
         self._edge_busy = False
-        self._edge_inbox, self._robot_inbox, self._plan_inbox = Inbox(), Inbox(), Inbox()
+        self._edge_inbox, self._robot_inbox, self._plan_inbox = (
+            Inbox(now_ns=self.clock.now_ns) for _ in range(3)
+        )
         self._torque_limits = torque_limits(robot, clamp=config.robot.torque_clamp)
         self._profile: Profile | None = None
         self._lines: list[DelayLine[Delivery]] = []

@@ -10,12 +10,19 @@ from __future__ import annotations
 import secrets
 import struct
 import threading
+import time
 from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 # The name of a thread that closes a session.
 CLOSING = "bus-close"
 _ENVELOPE = struct.Struct("<IIqI")
+# No publisher sends more often than a robot ticks.
+_PERIOD_NS = 1_000_000
+# More than the variation of one-way delays.
+_AHEAD_NS = 1_000_000_000
 
 
 class Envelope(NamedTuple):
@@ -74,38 +81,69 @@ def new_session() -> int:
     return secrets.randbits(32)
 
 
+@dataclass(slots=True)
+class _Span:
+    """The numbers of a publisher from the first one on, and the arrivals among them.
+
+    `lead_ns` is the largest lead of the publisher's numbers over the receiver's clock.
+    """
+
+    first: int
+    last: int
+    lead_ns: int
+    arrived: int = 1
+
+    @property
+    def lost(self) -> int:
+        """The number of sequence numbers missing between the first and the last one."""
+        return max(0, self.last - self.first + 1 - self.arrived)
+
+
 class ReceptionCounter:
     """Received and lost messages of one key, by the sequence numbers of each publisher.
 
-    A message that arrives out of order is not lost; a number that never arrives is. Of more than a
-    thousand publishers only the first ones have their losses counted.
+    A message that arrives out of order is not lost; a number that never arrives is. Numbers cannot
+    run ahead of the receiver's clock. At a number that does by more than a second, and at one that
+    is as far before the first, the span of its publisher begins anew. So a forged number is not
+    taken for losses. Of more than a thousand publishers only the first ones have their losses
+    counted.
     """
 
     _MAX_PUBLISHERS = 1024
 
     def __init__(self) -> None:
         self.received = 0
-        self._spans: dict[int, tuple[int, int, int]] = {}
+        self._spans: dict[int, _Span] = {}
+        # The losses within the spans that have ended.
+        self._lost = 0
 
-    def count(self, envelope: Envelope | None) -> None:
-        """Count one arrival."""
+    def count(self, envelope: Envelope | None, now_ns: int) -> None:
+        """Count an arrival at a time of the receiver's clock."""
         self.received += 1
         if envelope is None:
             return
-        sequence = envelope.sequence
-        if len(self._spans) >= self._MAX_PUBLISHERS and envelope.session not in self._spans:
+        sequence, span = envelope.sequence, self._spans.get(envelope.session)
+        if span is None and len(self._spans) >= self._MAX_PUBLISHERS:
             return
-        first, last, arrived = self._spans.get(envelope.session, (sequence, sequence, 0))
-        self._spans[envelope.session] = (min(first, sequence), max(last, sequence), arrived + 1)
+        lead_ns = sequence * _PERIOD_NS - now_ns
+        if span is None:
+            self._spans[envelope.session] = _Span(sequence, sequence, lead_ns)
+            return
+        before_ns = (span.first - sequence) * _PERIOD_NS
+        if max(lead_ns - span.lead_ns, before_ns) > _AHEAD_NS:
+            self._lost += span.lost
+            self._spans[envelope.session] = _Span(sequence, sequence, lead_ns)
+            return
+        span.first, span.last = min(span.first, sequence), max(span.last, sequence)
+        span.lead_ns = max(span.lead_ns, lead_ns)
+        span.arrived += 1
 
     @property
     def lost(self) -> int:
-        """The number of sequence numbers missing between the first and the last one of each
-        publisher.
+        """The number of sequence numbers missing between the first and the last one of each span of
+        a publisher.
         """
-        return sum(
-            max(0, last - first + 1 - arrived) for first, last, arrived in self._spans.values()
-        )
+        return self._lost + sum(span.lost for span in self._spans.values())
 
 
 class SenderCounter:
@@ -150,14 +188,21 @@ class Inbox:
     `put` runs on the bus's thread, the other methods on the node's. At the end of an outage
     hundreds of messages arrive at once: all are counted, and the node works on the newest. Messages
     without an envelope come from other programs. A bounded number of them is kept, so that the node
-    refuses and counts them. Inboxes with one `arrived` can be waited for together.
+    refuses and counts them. Inboxes with one `arrived` can be waited for together. `now_ns` reads
+    the receiver's clock [ns].
     """
 
     _MAX_PUBLISHERS = 8
     _MAX_STRANGERS = 8
 
-    def __init__(self, arrived: threading.Event | None = None) -> None:
+    def __init__(
+        self,
+        arrived: threading.Event | None = None,
+        *,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
         self.counter = ReceptionCounter()
+        self._now_ns = now_ns
         self._newest: dict[int, Delivery] = {}
         self._strangers: deque[Delivery] = deque(maxlen=self._MAX_STRANGERS)
         self._lock = threading.Lock()
@@ -167,7 +212,7 @@ class Inbox:
         """Count a message and hold it."""
         envelope = delivery.envelope
         with self._lock:
-            self.counter.count(envelope)
+            self.counter.count(envelope, self._now_ns())
             if envelope is None:
                 self._strangers.append(delivery)
             else:

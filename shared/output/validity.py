@@ -97,7 +97,8 @@ def stalls_s(
         for name in ("sequence", "wall_ns", "direction", "nominal_ns", "achieved_ns")
     )
     of_task = (sent_ns >= wall_ns[0]) & (sent_ns <= wall_ns[-1])
-    up, passed = of_task & (direction == 0) & (sequence >= 0), achieved_ns >= 0
+    # Only the numbers of the robot's ticks: another message on the key is no state of it.
+    up, passed = of_task & (direction == 0) & np.isin(sequence, ticks), achieved_ns >= 0
     # A state under way at the end has no row.
     known = np.unique(sequence[up])
     later = int((ticks > known.max(initial=-1)).sum())

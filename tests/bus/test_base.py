@@ -17,6 +17,7 @@ from shared.bus.base import (
     new_session,
 )
 
+FORGED = 2**31
 WORD = st.integers(0, 2**32 - 1)
 
 
@@ -46,7 +47,7 @@ def test_sessions_differ_and_fit_their_field():
 def count(*envelopes):
     counter = ReceptionCounter()
     for envelope in envelopes:
-        counter.count(envelope)
+        counter.count(envelope, 0)
     return counter
 
 
@@ -70,12 +71,33 @@ def test_an_overtaken_message_is_not_lost():
 def test_a_gap_is_lost_until_it_is_filled():
     counter = count(*numbered(0, 2))
     assert counter.lost == 1
-    counter.count(numbered(1)[0])
+    counter.count(numbered(1)[0], 0)
     assert counter.lost == 0
 
 
 def test_what_was_sent_before_the_first_arrival_is_not_counted():
     assert count(*numbered(1000, 1001)).lost == 0
+
+
+@pytest.mark.parametrize("sequences", [(0, FORGED, 1), (FORGED, 0, 1), (0, FORGED, FORGED + 1, 1)])
+def test_a_forged_number_is_no_loss(sequences):
+    assert count(*numbered(*sequences)).lost == 0
+
+
+def test_losses_before_and_after_a_forged_number_are_counted():
+    assert count(*numbered(0, 3, FORGED, 4, 6)).lost == 2 + 1
+
+
+@pytest.mark.parametrize("silent_ms", [5, 5000])
+def test_every_loss_of_a_long_outage_is_counted(silent_ms):
+    counter = count(*numbered(0))
+    counter.count(numbered(silent_ms)[0], silent_ms * 1_000_000)
+    assert counter.lost == silent_ms - 1
+
+
+def test_messages_that_an_outage_has_held_back_are_of_one_sequence():
+    # All arrive at its end, the first one too.
+    assert count(*numbered(*range(3000), 3500)).lost == 500
 
 
 def test_publishers_are_counted_apart():

@@ -206,6 +206,15 @@ def test_a_standstill_in_the_slower_direction_is_found() -> None:
     assert shim_ms(link)["downlink"]["max"] == 350.0
 
 
+def test_a_forged_number_neither_hides_nor_makes_a_standstill() -> None:
+    # The shim stopped at 700 ms; at 300 ms came a message with the number of no tick.
+    link = link_of(np.append(ALL[:700], 300))
+    link[-1, LINK_SCHEMA.slices["sequence"]] = 2**31
+    found = stalls_s(TICKS, a_task(1000), link, solves_of(ALL))
+    assert found["end"] == pytest.approx(0.295)
+    assert found["edge"] == pytest.approx(0.002)
+
+
 def test_an_outage_of_the_link_is_no_standstill() -> None:
     link = link_of(ALL)
     waited = np.where((ALL >= 300) & (ALL < 700), 705 - ALL, 5)
