@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.timing import header
 from netem.networks import CAPACITY, load_network, load_profile, shipped_names
 from netem.profile import DIRECTIONS, LOST
-from shared.config.settings import LinkConfig
+from shared.config.link_settings import LinkConfig
 
 _LOADS = (1_000, 40_000)
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)

@@ -19,7 +19,8 @@ from benchmarks import messages
 from benchmarks.in_loop import EDGE, NETWORK, NODES, WHOLE, Call, Part, ticks, timed_calls
 from benchmarks.start_up import SERVICES, start_up_ns
 from benchmarks.timing import Timing, header, measure, table
-from shared.config.settings import CORRECTION_LEVELS, RunConfig
+from shared.config.control_settings import CORRECTION_LEVELS
+from shared.config.settings import RunConfig
 from shared.motion.standing import Standing
 from shared.output.text_table import aligned
 from shared.robots import Robot, load_robot

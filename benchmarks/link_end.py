@@ -23,7 +23,7 @@ from shared.bus.base import Delivery, Inbox, Publisher
 from shared.bus.zenoh_bus import ZenohBus
 from shared.clock import Ticker, sleep_until
 from shared.commands import python_module
-from shared.config.settings import RobotConfig
+from shared.config.robot_settings import RobotConfig
 from shared.process.cli import EXIT_STANDING, Parser, run
 from shared.process.realtime import prepare, suspend_garbage_collection
 from shared.process.service import StopSignal

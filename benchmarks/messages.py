@@ -19,7 +19,7 @@ from benchmarks.link_paths import direct, started
 from shared.bus.base import Delivery, Envelope, Inbox
 from shared.bus.zenoh_bus import ZenohBus
 from shared.clock import Ticker, sleep_until
-from shared.config.settings import RobotConfig
+from shared.config.robot_settings import RobotConfig
 from shared.wire.channels import DOWNLINK, UPLINK
 
 MESSAGES = 2000

@@ -44,7 +44,8 @@ from robot_node.plant import Plant
 from robot_node.sensors import Sensors
 from shared.bus.base import Delivery
 from shared.config.config_file import load_config
-from shared.config.settings import RunConfig, SensorConfig
+from shared.config.robot_settings import SensorConfig
+from shared.config.settings import RunConfig
 from shared.errors import LinkError, UserError
 from shared.motion.standing import Standing
 from shared.output.text_table import aligned

@@ -31,7 +31,7 @@ from shared.bus.security import (
     key_file,
     robot_role,
 )
-from shared.config.settings import RobotConfig
+from shared.config.robot_settings import RobotConfig
 from shared.errors import ConfigError, writing
 from shared.process.cli import EXIT_STANDING
 from shared.regular_file import read_regular

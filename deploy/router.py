@@ -22,7 +22,7 @@ import time
 from shared.bus.security import ROUTER, Credentials
 from shared.bus.zenoh_bus import ZenohBus
 from shared.commands import python_module
-from shared.config.settings import LoopConfig
+from shared.config.link_settings import LoopConfig
 from shared.process.cli import EXIT_STANDING, Parser, run
 from shared.process.service import StopSignal, add_secure_argument
 from shared.wire.channels import DOWNLINK

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.config.settings import CorrectionConfig
+from shared.config.control_settings import CorrectionConfig
 from shared.wbc.contacts import ContactMode
 from shared.wbc.reference import Motion
 from shared.wire.messages import RobotState

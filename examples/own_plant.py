@@ -15,7 +15,7 @@ import numpy as np
 from experiments.lockstep import Lockstep, TrialResult
 from robot_node.plant import from_mujoco, to_mujoco
 from shared.config.config_file import load_config
-from shared.config.settings import PlantConfig
+from shared.config.robot_settings import PlantConfig
 from shared.robots import Foot, Robot
 
 FOLDER, MODEL = Path(__file__).parent, "experiments/templates/plant/NAME/NAME.xml"

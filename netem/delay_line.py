@@ -16,8 +16,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from netem.profile import DIRECTIONS, LOST, Profile, begin_ns
+from shared.config.link_settings import LinkConfig
 from shared.config.quantities import Outage
-from shared.config.settings import LinkConfig
 from shared.wire.operator.commands import AddDelay, Cut, LinkCommand, Restore, SetLoss, Stall
 
 # Outages that overlap; of more, the last ones count.

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from shared.config.settings import LinkConfig
+from shared.config.link_settings import LinkConfig
 
 LOST = -1
 # A larger delay is taken for an error of units.

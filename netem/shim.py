@@ -19,7 +19,7 @@ from netem.delay_line import DelayLine, Due, apply_to, make_lines
 from netem.profile import Profile, begin_ns
 from shared.bus.base import Delivery, Publisher
 from shared.clock import ScaledClock
-from shared.config.settings import LinkConfig
+from shared.config.link_settings import LinkConfig
 from shared.errors import LinkError
 from shared.wire.operator.commands import LinkCommand
 

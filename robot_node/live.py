@@ -17,7 +17,7 @@ from robot_node.pace import Pace
 from robot_node.tick import Tick
 from shared.bus.base import Delivery, Inbox, Publisher
 from shared.clock import Ticker
-from shared.config.settings import LoopConfig
+from shared.config.link_settings import LoopConfig
 from shared.errors import LinkError
 from shared.output.no_start import refused_in_words, too_old
 from shared.process.realtime import RealtimeBudget

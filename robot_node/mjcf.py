@@ -14,7 +14,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pinocchio as pin
 
-from shared.config.settings import PlantConfig
+from shared.config.robot_settings import PlantConfig
 from shared.errors import ConfigError
 from shared.motion.ground import FLAT, HOLE, Ground, Patch
 from shared.robots import GRAVITY, Foot, Robot, Sole

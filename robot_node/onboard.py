@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from robot_node.cache import CacheEntry, FactorisationCache, ProjectorCache
-from shared.config.settings import RunConfig, SwitchConfig
+from shared.config.control_settings import SwitchConfig
+from shared.config.settings import RunConfig
 from shared.errors import MessageRefused
 from shared.robots import Robot
 from shared.wbc.answer import Factorisation, TimedProjector

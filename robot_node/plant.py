@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from robot_node.mjcf import mjcf
 from shared.config.extensions import PLANTS
-from shared.config.settings import PlantConfig
+from shared.config.robot_settings import PlantConfig
 from shared.motion.ground import FLAT, Ground
 from shared.robots import Foot, Robot
 from shared.user_code import Members, Method, array_fault

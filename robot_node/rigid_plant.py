@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from shared.config.settings import PlantConfig
+from shared.config.robot_settings import PlantConfig
 from shared.robots import Foot, Robot
 from shared.robots.description import sole_frame_name
 

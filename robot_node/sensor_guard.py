@@ -13,7 +13,7 @@ from collections import Counter
 
 import numpy as np
 
-from shared.config.settings import SensorConfig
+from shared.config.robot_settings import SensorConfig
 from shared.robots import Robot
 from shared.robots.state_limits import StateLimits
 from shared.wbc.continuity import continues

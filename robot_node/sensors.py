@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from shared.config.settings import SensorConfig
+from shared.config.robot_settings import SensorConfig
 from shared.robots import Foot
 
 

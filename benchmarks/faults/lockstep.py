@@ -15,7 +15,8 @@ from benchmarks.faults.cases import Case, Draw, Parameters
 from experiments.lockstep import Lockstep, TrialResult
 from shared.bus.base import Delivery, Inbox
 from shared.config.config_file import load_config
-from shared.config.settings import RobotConfig, RunConfig
+from shared.config.robot_settings import RobotConfig
+from shared.config.settings import RunConfig
 from shared.robots import CATALOGUE, load_robot
 
 _MS = 1_000_000

@@ -23,7 +23,7 @@ from benchmarks.real_path.long_cable import machines_on_long_cable
 from benchmarks.real_path.namespaces import Machine, Machines, two_machines
 from benchmarks.termination import exit_at_termination
 from deploy.keys import make
-from shared.config.settings import RobotConfig
+from shared.config.robot_settings import RobotConfig
 from shared.errors import LinkError
 from shared.output.versions import versions
 from shared.process.cli import EXIT_STANDING

@@ -32,7 +32,7 @@ from netem.recorder.recording import Recorded, estimate_clock, reconstruct
 from shared.bus.base import new_session
 from shared.bus.security import EDGE, Credentials
 from shared.bus.zenoh_bus import ZenohBus
-from shared.config.settings import RobotConfig
+from shared.config.robot_settings import RobotConfig
 from shared.errors import ConfigError, LinkError, ProfileError
 from shared.output.screen import StatusLine
 from shared.process.cli import EXIT_STANDING

@@ -17,7 +17,8 @@ from typing import Any, TypeVar
 import tomli_w
 
 from shared.config.extensions import TABLES
-from shared.config.settings import SETTINGS, RobotConfig, RunConfig
+from shared.config.robot_settings import RobotConfig
+from shared.config.settings import SETTINGS, RunConfig
 from shared.errors import ConfigError, one_of
 from shared.robots import description_of
 from shared.toml_file import read_toml

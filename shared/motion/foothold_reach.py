@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.config.settings import WalkConfig
+from shared.config.step_settings import WalkConfig
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import SOLE_CLEARANCE, narrowest
 from shared.robots import Foot, Robot

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.config.quantities import Goal
-from shared.config.settings import WalkConfig
+from shared.config.step_settings import WalkConfig
 from shared.errors import ConfigError
 from shared.motion.foothold_reach import (
     CLIMB,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from shared.config.settings import WalkConfig
+from shared.config.step_settings import WalkConfig
 from shared.errors import ConfigError
 from shared.motion.footprint import Footprint
 from shared.robots import Foot, Robot

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.config.settings import WalkConfig
+from shared.config.step_settings import WalkConfig
 from shared.motion.com_plan import ComPlan, ZmpSegment, dcm_plan
 from shared.motion.cross_fade import CrossFade
 from shared.motion.footprint import Footprint

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from shared.config.extensions import CONTROLLERS, corrects
-from shared.config.settings import LoopConfig, RunConfig
+from shared.config.link_settings import LoopConfig
+from shared.config.settings import RunConfig
 
 _OTHER = "docs/wire.md describes this check"
 # The remedy for each check that a message may fail.

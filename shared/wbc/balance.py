@@ -20,7 +20,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from shared.config.settings import BalanceConfig
+from shared.config.control_settings import BalanceConfig
 from shared.robots import GRAVITY, Foot, Robot
 from shared.robots.fallen import LEAST_COM_HEIGHT
 from shared.wbc.contacts import ContactMode

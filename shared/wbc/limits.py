@@ -18,7 +18,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.config.settings import LimitsConfig, RunConfig
+from shared.config.control_settings import LimitsConfig
+from shared.config.settings import RunConfig
 from shared.robots import Robot
 from shared.wbc.model import Live
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.config.settings import WbcConfig
+from shared.config.control_settings import WbcConfig
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import (
     FORCES_PER_FOOT,

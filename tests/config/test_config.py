@@ -8,17 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.config.config_file import dump_config, load_config
+from shared.config.control_settings import Gains, WbcConfig
+from shared.config.link_settings import LinkConfig, WireConfig
 from shared.config.quantities import parse_duration_ns, parse_goal, parse_outage, parse_push
-from shared.config.settings import (
-    SETTINGS,
-    Gains,
-    LinkConfig,
-    RobotConfig,
-    RunConfig,
-    SensorConfig,
-    WbcConfig,
-    WireConfig,
-)
+from shared.config.robot_settings import RobotConfig, SensorConfig
+from shared.config.settings import SETTINGS, RunConfig
 from shared.errors import ConfigError
 from shared.toml_file import read_toml
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge_node.node import EdgeNode
-from shared.config.settings import CorrectionConfig
+from shared.config.control_settings import CorrectionConfig
 from shared.telemetry.schema import SOLVE_SCHEMA
 from shared.wbc.contacts import ContactMode
 from shared.wbc.factorisation import factorise_kkt

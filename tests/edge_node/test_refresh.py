@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge_node.refresh import FactorisationRefresh
-from shared.config.settings import CorrectionConfig
+from shared.config.control_settings import CorrectionConfig
 from shared.wbc.contacts import ContactMode
 from tests.messages import make_state
 

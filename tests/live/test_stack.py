@@ -16,7 +16,8 @@ import pytest
 from shared.bus.base import Delivery
 from shared.bus.zenoh_bus import ZenohBus
 from shared.config.config_file import load_config
-from shared.config.settings import RobotConfig, RunConfig
+from shared.config.robot_settings import RobotConfig
+from shared.config.settings import RunConfig
 from shared.process.entry import python
 from shared.robots import load_robot
 from shared.telemetry.parquet import read_parquet

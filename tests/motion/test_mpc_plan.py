@@ -9,7 +9,7 @@ from itertools import pairwise, permutations, zip_longest
 import numpy as np
 import pytest
 
-from shared.config.settings import WalkConfig
+from shared.config.step_settings import WalkConfig
 from shared.errors import ConfigError
 from shared.motion.com_plan import ComPlan, ZmpSegment
 from shared.motion.mpc_plan import (

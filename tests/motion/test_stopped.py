@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.config.settings import WalkConfig
+from shared.config.step_settings import WalkConfig
 from shared.motion.cross_fade import DURATION
 from shared.motion.standing import Standing
 from shared.motion.walking import Walking

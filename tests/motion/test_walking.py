@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from shared.config.settings import WalkConfig
+from shared.config.step_settings import WalkConfig
 from shared.errors import ConfigError
 from shared.motion.footsteps import Step, plan_footsteps
 from shared.motion.standing import Standing

@@ -15,7 +15,7 @@ from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
 from netem.shim import Shim, Sides
 from shared.bus.base import Delivery, Envelope
 from shared.clock import ScaledClock
-from shared.config.settings import LinkConfig
+from shared.config.link_settings import LinkConfig
 from shared.errors import LinkError
 from shared.telemetry.row_log import RowLog
 from shared.telemetry.schema import LINK_SCHEMA

@@ -17,7 +17,7 @@ from netem.delay_line import make_lines
 from netem.networks import load_network
 from netem.packet_pump import Lateness, Way, pump, wait_for_packet
 from netem.profile import DOWNLINK, UPLINK
-from shared.config.settings import LinkConfig
+from shared.config.link_settings import LinkConfig
 from shared.errors import LinkError
 from tests.processes import PATIENCE_SECONDS, until
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from robot_node.mjcf import mjcf
-from shared.config.settings import PlantConfig
+from shared.config.robot_settings import PlantConfig
 from shared.robots import CATALOGUE, load_robot
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from robot_node.onboard import ModelledComputer, OnBoardRefresh, OnBoardWindow
-from shared.config.settings import CorrectionConfig, RunConfig, SwitchConfig
+from shared.config.control_settings import CorrectionConfig, SwitchConfig
+from shared.config.settings import RunConfig
 from shared.wbc.answer import Projector, TimedProjector
 from shared.wbc.contacts import ContactMode
 

@@ -10,7 +10,7 @@ import pytest
 from examples.own_plant import FOLDER, MjcfPlant
 from robot_node.plant import MujocoPlant, make_plant
 from robot_node.plant_checks import CHECKS, plant_faults
-from shared.config.settings import PlantConfig
+from shared.config.robot_settings import PlantConfig
 from shared.robots import Foot, load_robot
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robot_node.plant import MujocoPlant, make_plant
-from shared.config.settings import PlantConfig
+from shared.config.robot_settings import PlantConfig
 from shared.errors import ConfigError
 from shared.motion.ground import make_ground
 from shared.robots import Foot

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 from robot_node.plant import MujocoPlant
-from shared.config.settings import PlantConfig
+from shared.config.robot_settings import PlantConfig
 from shared.robots import CATALOGUE, Foot, load_robot
 
 

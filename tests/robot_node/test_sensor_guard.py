@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot_node.sensor_guard import HELD_OVER_TICKS, SensorGuard
-from shared.config.settings import SensorConfig
+from shared.config.robot_settings import SensorConfig
 from shared.motion.plan import make_motion
 from shared.telemetry.schema import Source
 from tests.robot_node.bench import Bench

@@ -5,7 +5,7 @@ import pytest
 
 from robot_node.sensors import Sensors
 from shared.config.config_file import load_config
-from shared.config.settings import SensorConfig
+from shared.config.robot_settings import SensorConfig
 from shared.robots import Foot
 
 NOISY = SensorConfig(joint_position_noise=1e-2, joint_velocity_noise=0.1)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from shared.config.settings import BalanceConfig
+from shared.config.control_settings import BalanceConfig
 from shared.robots import Foot
 from shared.wbc.balance import BalanceLaw, convex_hull, within
 

@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from shared.config.settings import LimitsConfig
+from shared.config.control_settings import LimitsConfig
 from shared.wbc.assisted import apply_projector
 from shared.wbc.correction import Corrector, Iterate
 from shared.wbc.limits import Limits

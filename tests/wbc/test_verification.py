@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from shared.config.settings import LimitsConfig
+from shared.config.control_settings import LimitsConfig
 from shared.wbc.answer import Openness
 from shared.wbc.contacts import ContactMode
 from shared.wbc.factorisation import factorise_kkt
