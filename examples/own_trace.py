@@ -16,7 +16,7 @@ import numpy as np
 from experiments.lockstep import Lockstep, TrialResult
 from netem.profile import LOST, DelayProfile
 from netem.profile_file import read_profile, write_profile
-from netem.statistics import delays_ms, outages
+from netem.statistics import delay_spikes, delays_ms
 from shared.config.config_file import load_config
 
 
@@ -40,7 +40,7 @@ def main(duration: float = 4.0, folder: Path = Path("runs")) -> tuple[DelayProfi
 
     profile = read_profile(path)
     round_trip_ms = delays_ms(profile, "round trip")
-    longest = max(outage.peak_ms for outage in outages(round_trip_ms) if outage.peak_ms < np.inf)
+    longest = max(each.peak_ms for each in delay_spikes(round_trip_ms) if each.peak_ms < np.inf)
     print(f"round trip {np.median(round_trip_ms):g} ms, in the outage up to {longest:g} ms")
 
     # The seed draws where in the profile the run begins.

@@ -22,7 +22,7 @@ from experiments.studies.study_file import make_study
 from experiments.studies.sweep import sweep, workers_from
 from netem.networks import CAPACITY, load_profile
 from netem.profile import DIRECTIONS, DelayProfile
-from netem.statistics import delays_ms, outages
+from netem.statistics import delay_spikes, delays_ms
 from shared.config.extensions import CONTROLLERS
 from shared.config.quantities import parse_push
 from shared.errors import ConfigError, writing
@@ -114,12 +114,12 @@ def run_link(arguments: argparse.Namespace) -> int:
 
 
 def link_outages(profile: DelayProfile) -> list[LinkOutage]:
-    """The outages of both directions, the longest first."""
+    """The outages of both directions, the longest first: an outage for each delay spike."""
     period = profile.period_ns * 1e-9
     found = [
         LinkOutage(direction, each.first * period, each.messages * period)
         for direction in DIRECTIONS
-        for each in outages(delays_ms(profile, direction))
+        for each in delay_spikes(delays_ms(profile, direction))
     ]
     return sorted(found, key=lambda each: -each.duration)
 

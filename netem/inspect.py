@@ -12,7 +12,7 @@ import numpy as np
 
 from netem.networks import load_profile, shipped_names
 from netem.profile import DIRECTIONS, LOST, DelayProfile
-from netem.statistics import LINKS, OUTAGE_MS, delays_ms, outages, statistics
+from netem.statistics import LINKS, SPIKE_MS, delay_spikes, delays_ms, statistics
 from shared.errors import ProfileError, one_of
 from shared.process.cli import EXIT_STANDING
 
@@ -34,15 +34,15 @@ def run_list(arguments: argparse.Namespace) -> int:
     scenarios = sorted({name.rpartition("/")[0] for name in names})
     if arguments.scenario not in (None, *scenarios):
         raise ProfileError(f"scenario: {one_of(scenarios, arguments.scenario)}")
-    print(f"{'profile':28}  seconds  round trip [ms]     longest  outages  lost")
+    print(f"{'profile':28}  seconds  round trip [ms]     longest   spikes  lost")
     for name in names:
         if arguments.scenario in (None, name.rpartition("/")[0]):
             profile = load_profile(name)
             trip = statistics([profile], "round trip")
-            stalls = len(outages(delays_ms(profile, "round trip")))
+            spikes = len(delay_spikes(delays_ms(profile, "round trip")))
             print(
                 f"{name:28}  {profile.duration_ns * 1e-9:7.1f}  {trip.median:15.2f}  "
-                f"{trip.maximum:8.1f} ms  {stalls:7}  {_percent(trip.lost)}"
+                f"{trip.maximum:8.1f} ms  {spikes:7}  {_percent(trip.lost)}"
             )
     return EXIT_STANDING
 
@@ -84,7 +84,7 @@ def add_stats_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_stats(arguments: argparse.Namespace) -> int:
-    """Print quantiles, outages and memory of one or several profiles together. Return 0."""
+    """Print quantiles, delay spikes and memory of one or several profiles together. Return 0."""
     profiles = [profile for name in arguments.networks for profile in _profiles(name)]
     if len({profile.period_ns for profile in profiles}) > 1:
         raise ProfileError(
@@ -118,7 +118,7 @@ _TOLD = {
     "q999": "99.9 %",
     "maximum": "longest",
     "lost": "lost",
-    "outages_per_second": "outages per second",
+    "spikes_per_second": "spikes per second",
     "peak_median": "  peak, median",
     "peak_q90": "  peak, 90 %",
     "duration_median": "  duration, median",
@@ -131,8 +131,8 @@ _TOLD = {
 _EXPLAINED = f"""
 round trip: a message up, and its answer down from the moment that it arrives
 median … longest: of the messages that arrived; lost: the part of the time in which none did
-outage: successive messages that were lost, or took over {OUTAGE_MS:g} ms and twice the median
-peak: the longest delay in an outage of a message that arrived; duration: lost messages count
+spike: successive messages that were lost, or took over {SPIKE_MS:g} ms and twice the median
+peak: the longest delay in a spike of a message that arrived; duration: lost messages count
 memory: the time between two delays whose correlation is 1/e"""
 
 

@@ -1,8 +1,9 @@
-"""Statistics of a profile's delays: quantiles, outages, memory.
+"""Statistics of a profile's delays: quantiles, delay spikes, memory.
 
-Here an outage is a run of messages that were lost, or took longer than both `OUTAGE_MS` and twice
-the median. Such delays are far above the base delay with its retransmissions, and a controller
-notices them. The peak of an outage is the longest delay in it.
+A delay spike is a run of messages that were lost, or took longer than both `SPIKE_MS` and twice the
+median. Such delays are far above the base delay with its retransmissions, and a controller notices
+them. The peak of a spike is the longest delay in it. An outage, in which no message passes the
+link, makes a spike of the messages sent in it.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ import numpy as np
 
 from netem.profile import DOWNLINK, LOST, UPLINK, DelayProfile
 
-OUTAGE_MS = 9.0
+SPIKE_MS = 9.0
 LINKS = ("uplink", "downlink", "round trip")
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)
 
 
 @dataclass(frozen=True)
-class ObservedOutage:
-    """An outage of messages `first` to `last`, both included. `peak_ms` is inf if all are lost."""
+class DelaySpike:
+    """A spike of messages `first` to `last`, both included. `peak_ms` is inf if all are lost."""
 
     first: int
     last: int
@@ -29,7 +30,7 @@ class ObservedOutage:
 
     @property
     def messages(self) -> int:
-        """The number of messages in the outage."""
+        """The number of messages in the spike."""
         return self.last - self.first + 1
 
 
@@ -38,8 +39,8 @@ class DelayStatistics:
     """Statistics of one link over one or several profiles; [ms] unless another unit is given.
 
     `median`, `q90`, `q99`, `q999` and `maximum` are those of the delays that were not lost. `lost`
-    is the fraction of messages lost. `outages_per_second` is in [1/s]. `peak_median` and `peak_q90`
-    are over the outages, `duration_median` and `duration_maximum` over their durations.
+    is the fraction of messages lost. `spikes_per_second` is in [1/s]. `peak_median` and `peak_q90`
+    are over the spikes, `duration_median` and `duration_maximum` over their durations.
     `lost_maximum` is the longest run of losses [ms]. `memory` is the lag at which the
     autocorrelation of the delay has fallen to 1/e. A value that does not exist is NaN.
     """
@@ -50,7 +51,7 @@ class DelayStatistics:
     q999: float
     maximum: float
     lost: float
-    outages_per_second: float
+    spikes_per_second: float
     peak_median: float
     peak_q90: float
     duration_median: float
@@ -76,15 +77,15 @@ def delays_ms(profile: DelayProfile, link: str) -> np.ndarray:
     return round_trip
 
 
-def outages(delays: np.ndarray) -> list[ObservedOutage]:
-    """The outages in one direction's delays [ms] (n,), in order."""
-    threshold = max(OUTAGE_MS, 2.0 * float(np.median(delays[np.isfinite(delays)])))
+def delay_spikes(delays: np.ndarray) -> list[DelaySpike]:
+    """The spikes in one direction's delays [ms] (n,), in order."""
+    threshold = max(SPIKE_MS, 2.0 * float(np.median(delays[np.isfinite(delays)])))
     found = []
     for first, end in _runs(delays > threshold):
         within = delays[first:end]
         passed = within[np.isfinite(within)]
         found.append(
-            ObservedOutage(int(first), int(end) - 1, float(passed.max()) if len(passed) else np.inf)
+            DelaySpike(int(first), int(end) - 1, float(passed.max()) if len(passed) else np.inf)
         )
     return found
 
@@ -107,13 +108,15 @@ def statistics(profiles: Sequence[DelayProfile], link: str) -> DelayStatistics:
     every = np.concatenate(series)
     passed = every[np.isfinite(every)]
     events = [
-        (o, period) for each, period in zip(series, periods_ms, strict=True) for o in outages(each)
+        (spike, period)
+        for each, period in zip(series, periods_ms, strict=True)
+        for spike in delay_spikes(each)
     ]
     seconds = (
         sum(len(each) * period for each, period in zip(series, periods_ms, strict=True)) / 1000
     )
-    peaks = [outage.peak_ms for outage, _ in events if np.isfinite(outage.peak_ms)]
-    durations = [outage.messages * period for outage, period in events]
+    peaks = [spike.peak_ms for spike, _ in events if np.isfinite(spike.peak_ms)]
+    durations = [spike.messages * period for spike, period in events]
     median, q90, q99, q999 = (float(q) for q in np.quantile(passed, _QUANTILES))
     return DelayStatistics(
         median=median,
@@ -122,7 +125,7 @@ def statistics(profiles: Sequence[DelayProfile], link: str) -> DelayStatistics:
         q999=q999,
         maximum=float(passed.max()),
         lost=1.0 - len(passed) / len(every),
-        outages_per_second=len(events) / seconds,
+        spikes_per_second=len(events) / seconds,
         peak_median=_quantile(peaks, 0.5),
         peak_q90=_quantile(peaks, 0.9),
         duration_median=_quantile(durations, 0.5),

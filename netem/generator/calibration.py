@@ -3,7 +3,7 @@
 The gains of the model were fitted to the odd runs of ns-3 alone. The table gives both halves, so
 that overfitting to the odd runs would show. `docs/network-model.md` lists which other parts of the
 model were fitted to which runs. Two samples are compared by the Kolmogorov–Smirnov statistic
-D = sup |F₁ − F₂|. Its p-value assumes independent samples. That is about right for outages and for
+D = sup |F₁ − F₂|. Its p-value assumes independent samples. That is about right for spikes and for
 runs, and wrong for successive delays of a run. For these the table gives D alone.
 """
 
@@ -23,7 +23,7 @@ from netem.generator.channel import SCENARIOS, Scenario
 from netem.generator.generate import DOWNLINK_BYTES, UPLINK_BYTES, check_set, generate_set
 from netem.networks import load_profile, shipped_names
 from netem.profile import DelayProfile
-from netem.statistics import LINKS, OUTAGE_MS, delays_ms, outages, statistics
+from netem.statistics import LINKS, SPIKE_MS, delay_spikes, delays_ms, statistics
 from shared.errors import ConfigError
 from shared.output.text_table import aligned
 from shared.output.versions import cpu_name, versions
@@ -56,7 +56,7 @@ class Measured:
             "99 %": of.q99,
             "99.9 %": of.q999,
             "longest": of.maximum,
-            "outages per second": of.outages_per_second,
+            "outages per second": of.spikes_per_second,
             "duration, 10 %": _quantile(self.samples["durations"], 0.1),
             "duration, median": of.duration_median,
             "duration, 90 %": _quantile(self.samples["durations"], 0.9),
@@ -69,10 +69,10 @@ class Measured:
     @cached_property
     def samples(self) -> dict[str, np.ndarray]:
         """The samples that are compared as distributions, by their names in the table."""
-        found = [outages(run) for run in self.runs]
+        found = [delay_spikes(run) for run in self.runs]
         return {
-            "peaks": np.array([outage.peak_ms for run in found for outage in run]),
-            "durations": np.array([float(outage.messages) for run in found for outage in run]),
+            "peaks": np.array([spike.peak_ms for run in found for spike in run]),
+            "durations": np.array([float(spike.messages) for run in found for spike in run]),
             "gaps": np.array(
                 [
                     float(after.first - before.last - 1)
@@ -86,10 +86,10 @@ class Measured:
         }
 
 
-def shared_outages(profiles: Sequence[DelayProfile]) -> tuple[float, float]:
-    """P(uplink in outage | downlink in outage) and the other way round, over sending times."""
+def shared_spikes(profiles: Sequence[DelayProfile]) -> tuple[float, float]:
+    """P(uplink in a spike | downlink in a spike) and the other way round, over sending times."""
     up, down = (
-        np.concatenate([delays_ms(profile, way) > OUTAGE_MS for profile in profiles])
+        np.concatenate([delays_ms(profile, way) > SPIKE_MS for profile in profiles])
         for way in ("uplink", "downlink")
     )
     both = float(np.sum(up & down))
@@ -248,7 +248,7 @@ def p_value(d: float, n: int, m: int) -> float:
 
 def _shared(ns3: Sequence[DelayProfile], generated: Sequence[DelayProfile]) -> list[str]:
     sets = (ns3[::2], ns3[1::2], ns3, generated)
-    shared = [shared_outages(each) for each in sets]
+    shared = [shared_spikes(each) for each in sets]
     return aligned(
         [
             ["both ways", "ns-3 odd", "ns-3 even", "ns-3 all", "generated"],
@@ -269,7 +269,7 @@ def _header(command: str, *, seed: int, count: int, sets: int) -> str:
             f"{cpu_name()}; python {found['python']}, numpy {found['numpy']}; "
             f"seeds {seed} to {seed + count - 1}{further}",
             f"uplink {UPLINK_BYTES} B, downlink {DOWNLINK_BYTES} B at 1 kHz",
-            f"an outage: messages delayed by more than {OUTAGE_MS:g} ms; one per ms, so the "
+            f"an outage: messages delayed by more than {SPIKE_MS:g} ms; one per ms, so the "
             "duration [ms] is also the number of messages",
             "gains fitted to the odd ns-3 runs alone; ratio: generated / ns-3 all",
         ]

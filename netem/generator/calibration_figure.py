@@ -10,7 +10,7 @@ import matplotlib as mpl
 import numpy as np
 
 from netem.profile import DelayProfile
-from netem.statistics import autocorrelation, delays_ms, outages
+from netem.statistics import autocorrelation, delay_spikes, delays_ms
 from shared.output.figure import save_figure
 
 mpl.use("Agg")
@@ -42,11 +42,11 @@ def _draw_scenario(
     for name, profiles in sets.items():
         for way, style in _STYLES.items():
             runs = [delays_ms(profile, way) for profile in profiles]
-            found = [outage for run in runs for outage in outages(run)]
+            found = [spike for run in runs for spike in delay_spikes(run)]
             line = {"color": _COLOURS[name], "linestyle": style, "label": f"{name}, {way}"}
             _exceeded(delays, np.concatenate(runs), **line)
-            _exceeded(durations, [outage.messages for outage in found], **line)
-            _exceeded(peaks, [outage.peak_ms for outage in found], **line)
+            _exceeded(durations, [spike.messages for spike in found], **line)
+            _exceeded(peaks, [spike.peak_ms for spike in found], **line)
             memory.plot(autocorrelation(runs, _LAGS), **line)
     delays.set(title=f"{scenario}: delays", xlabel="one-way delay [ms]", yscale="log")
     delays.set_ylabel("part of the messages with a longer delay")

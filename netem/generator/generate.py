@@ -19,7 +19,7 @@ from netem.generator.queueing import delays_ns, departures
 from netem.generator.rate_adaptation import capacity_per_ms
 from netem.profile import DOWNLINK, LOST, PERIOD_NS, UPLINK, DelayProfile
 from netem.profile_file import write_profile
-from netem.statistics import delays_ms, outages
+from netem.statistics import delay_spikes, delays_ms
 from shared.errors import ConfigError, one_of
 from shared.process.cli import EXIT_STANDING
 
@@ -182,20 +182,21 @@ def run_generate(arguments: argparse.Namespace) -> int:
         uplink_bytes=uplink_bytes,
         downlink_bytes=downlink_bytes,
     )
-    longest, stalls, lost, again = 0.0, 0, 0, 0
+    longest, spikes, lost, again = 0.0, 0, 0, 0
     for k, profile in enumerate(profiles):
         write_profile(profile, arguments.out / f"{scenario.name}-{k:04d}.npz")
         for way in ("uplink", "downlink"):
             delays = delays_ms(profile, way)
             longest = max(longest, *delays[np.isfinite(delays)])
-        stalls += len(outages(delays_ms(profile, "downlink")))
+        spikes += len(delay_spikes(delays_ms(profile, "downlink")))
         lost += int(np.sum(profile.delays_ns == LOST))
         again += profile.metadata["draws"] - 1
     print(
         f"{arguments.count} profiles of {arguments.seconds:g} s in {arguments.out}, seeds "
         f"{arguments.seed} to {arguments.seed + arguments.count - 1}: "
-        f"{stalls / (arguments.count * arguments.seconds):.2f} outages per second down, longest "
-        f"one-way delay {longest:.0f} ms, {lost} messages lost; {again} channels drawn again"
+        f"{spikes / (arguments.count * arguments.seconds):.2f} delay spikes per second down, "
+        f"longest one-way delay {longest:.0f} ms, {lost} messages lost; "
+        f"{again} channels drawn again"
     )
     return EXIT_STANDING
 

@@ -45,7 +45,7 @@ def test_statistics_of_a_folder_are_those_of_its_files_together(netem, tmp_path)
 def test_statistics_explain_their_labels(netem):
     done = netem("stats", "constant:10ms")
     assert done.returncode == 0, done.stderr
-    for label in ("outage:", "peak:", "memory:", "lost:", "round trip:"):
+    for label in ("spike:", "peak:", "memory:", "lost:", "round trip:"):
         assert label in done.stdout
     assert "nan" not in done.stdout
 

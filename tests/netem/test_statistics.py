@@ -7,7 +7,7 @@ import pytest
 
 from netem.networks import load_profile
 from netem.profile import LOST, DelayProfile
-from netem.statistics import autocorrelation, delays_ms, outages, statistics
+from netem.statistics import autocorrelation, delay_spikes, delays_ms, statistics
 
 MS = 1_000_000
 
@@ -31,24 +31,24 @@ def test_a_round_trip_is_lost_with_either_way():
     )
 
 
-def test_an_outage_is_a_stretch_of_late_or_lost_messages():
+def test_a_spike_is_a_stretch_of_late_or_lost_messages():
     delays = np.array([1.0, 12.0, 11.0, 1.0, math.inf, 10.0, 1.0, 1.0, 1.0, math.inf])
-    found = outages(delays)
+    found = delay_spikes(delays)
     assert [(o.first, o.last, o.messages) for o in found] == [(1, 2, 2), (4, 5, 2), (9, 9, 1)]
     assert [o.peak_ms for o in found] == [12.0, 10.0, math.inf]
 
 
 @pytest.mark.parametrize("delay_ms", [0.0, 1.7, 15.0, 500.0])
-def test_a_constant_delay_has_no_outage(delay_ms):
-    assert outages(np.full(100, delay_ms)) == []
+def test_a_constant_delay_has_no_spike(delay_ms):
+    assert delay_spikes(np.full(100, delay_ms)) == []
     of_it = statistics([load_profile(f"constant:{delay_ms}ms/{delay_ms}ms")], "uplink")
     assert of_it.median == of_it.maximum == pytest.approx(delay_ms)
-    assert of_it.outages_per_second == 0.0
+    assert of_it.spikes_per_second == 0.0
     assert math.isnan(of_it.peak_median)
 
 
 def test_profiles_are_pooled():
-    # Two seconds in all; one loss in 2000, one outage in each.
+    # Two seconds in all; one loss in 2000, one spike in one and two in the other.
     quiet = np.ones(1000)
     one, other = quiet.copy(), quiet.copy()
     one[10:20] = 50.0
@@ -56,7 +56,7 @@ def test_profiles_are_pooled():
     other[900] = -1.0
     of_both = statistics([profile(one, quiet), profile(other, quiet)], "uplink")
     assert of_both.lost == pytest.approx(1 / 2000)
-    assert of_both.outages_per_second == pytest.approx(3 / 2.0)
+    assert of_both.spikes_per_second == pytest.approx(3 / 2.0)
     assert of_both.maximum == 80.0
     assert of_both.peak_median == 65.0
     assert of_both.duration_median == 10.0
@@ -64,12 +64,12 @@ def test_profiles_are_pooled():
     assert of_both.lost_maximum == 1.0
 
 
-def test_a_lost_span_is_an_outage_as_long_as_it_lasted():
+def test_a_lost_span_is_a_spike_as_long_as_it_lasted():
     up = np.ones(1000)
     up[100:400] = -1.0
     up[390] = 50.0
     of_it = statistics([profile(up, np.ones(1000))], "uplink")
-    assert of_it.outages_per_second == 1.0
+    assert of_it.spikes_per_second == 1.0
     assert of_it.duration_maximum == 300.0
     assert of_it.lost_maximum == 290.0
     assert of_it.peak_median == 50.0
@@ -92,4 +92,4 @@ def test_the_sets_are_as_their_readme_says():
     assert down.median == pytest.approx(1.74, abs=0.01)
     assert down.q99 == pytest.approx(35, abs=0.5)
     assert down.maximum == pytest.approx(119, abs=0.5)
-    assert down.outages_per_second == pytest.approx(1.45, abs=0.01)
+    assert down.spikes_per_second == pytest.approx(1.45, abs=0.01)

@@ -10,7 +10,7 @@ from netem.generator.calibration import (
     distance,
     ns3_runs,
     p_value,
-    shared_outages,
+    shared_spikes,
     table,
 )
 from netem.generator.channel import BUILDING, SCENARIOS
@@ -82,7 +82,7 @@ def test_no_generated_delay_is_longer_than_the_papers(both):
 
 def test_both_ways_stall_together_as_often_as_in_ns3(both):
     _, ns3, generated = both
-    found, expected = shared_outages(generated), shared_outages(ns3)
+    found, expected = shared_spikes(generated), shared_spikes(ns3)
     # The part of 60 runs of few outages each is known to about 0.05.
     assert found == pytest.approx(expected, abs=0.15)
 
@@ -97,9 +97,9 @@ def test_outages_are_measured_as_drawn():
     assert measured.figures["outages per second"] == 200.0
 
 
-def test_shared_outages_are_counted_over_sending_times():
+def test_shared_spikes_are_counted_over_sending_times():
     drawn = profile([2, 20, 20, 2, 2, 2, 2, 2], [2, 20, 20, 20, 20, 2, 2, 2])
-    assert shared_outages([drawn]) == (0.5, 1.0)
+    assert shared_spikes([drawn]) == (0.5, 1.0)
 
 
 def test_a_sample_is_at_no_distance_from_itself():
