@@ -9,6 +9,7 @@ import numpy as np
 
 from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
+from shared.motion.pendulum import moved_dcm
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin, other
 from shared.motion.stance import Stance, middle
 from shared.robots import Foot, Robot
@@ -118,7 +119,7 @@ class FootstepBuilder:
         ends = [rest]
         for _, duration, _, cop in reversed(spans[1:]):
             assert cop is not None
-            ends.append(cop + (ends[-1] - cop) * math.exp(-omega * duration))
+            ends.append(moved_dcm(ends[-1], cop=cop, growth=math.exp(-omega * duration)))
         ends.reverse()
         if spans[0][3] is None:
             # The one CoP that brings the DCM from where it is to where the first step wants it.

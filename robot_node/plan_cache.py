@@ -22,6 +22,7 @@ from shared.errors import MessageRefused
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import MAX_TURN
 from shared.motion.ground import Ground
+from shared.motion.pendulum import moved_dcm
 from shared.motion.planned import Plan, other
 from shared.motion.step_law import StepLaw, make_step_law
 from shared.robots import Foot, Robot
@@ -164,12 +165,11 @@ class PlanCache:
     def _check_course(self, plan: Plan) -> None:
         """Check that the CoPs of a plan move its DCM ξ from phase to phase, and to a rest.
 
-        A phase of duration T with the CoP p begins at ξ₀ = p + (ξ_T − p) e^(−ωT). The first phase
-        continues the robot's motion and is not checked.
+        The first phase continues the robot's motion and is not checked.
         """
         for before, phase in itertools.pairwise(plan.phases):
             decay = math.exp(-self._own.omega * (phase.end_ns - phase.begin_ns) * 1e-9)
-            start = [p + (dcm - p) * decay for p, dcm in zip(phase.cop, phase.dcm, strict=True)]
+            start = moved_dcm(np.array(phase.dcm), cop=np.array(phase.cop), growth=decay)
             jump = math.dist(start, before.dcm)
             if jump > _JUMP:
                 raise MessageRefused("course", f"a DCM that jumps by {jump:.3f} m")

@@ -20,6 +20,7 @@ import numpy as np
 from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import standing_footprints
+from shared.motion.pendulum import moved_dcm
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, other
 from shared.motion.stance import middle
 from shared.motion.standing import Standing
@@ -357,7 +358,8 @@ class ContactClock:
         if phase is not None and self._next_planned is not None:
             left = min(0.0, since - (phase.end_ns - phase.begin_ns) * 1e-9)
             cop = np.array(phase.cop)
-            return cop + (np.array(phase.dcm) - cop) * math.exp(self._omega * left), cop
+            growth = math.exp(self._omega * left)
+            return moved_dcm(np.array(phase.dcm), cop=cop, growth=growth), cop
         offset = self._offset * math.exp(-since / _SETTLING)
         dcm: np.ndarray = self.stance.rest_over(self.feet) + offset
         return dcm, dcm + offset / (self._omega * _SETTLING)

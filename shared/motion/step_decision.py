@@ -14,6 +14,7 @@ import numpy as np
 
 from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
+from shared.motion.pendulum import moved_dcm
 from shared.motion.planned import other
 from shared.motion.stance import Stance, middle
 from shared.motion.step_law import StepLaw, StepQuestion, choose_step
@@ -97,7 +98,7 @@ class StepDecision:
         wanted = rest + (1.0 + self._gain / omega) * (dcm - rest) + disturbance
         cop = np.array(within(convex_hull(corners), (wanted[0], wanted[1]), beyond=0.0))
         growth = math.exp(omega * self._config.ahead)
-        ahead = cop + (dcm - cop) * growth + (growth - 1.0) * disturbance
+        ahead = moved_dcm(dcm, cop=cop, growth=growth) + (growth - 1.0) * disturbance
         _, _, yaw = middle(balance.feet)
         aside = self._config.beyond_sideways * turned(yaw)[:2, 1]
         larger = convex_hull(np.concatenate((corners + aside, corners - aside)))

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.motion.ground import Ground
+from shared.motion.pendulum import moved_dcm
 from shared.motion.stance import Stance
 from shared.motion.swing import PEAK_SAMPLES, peak_gains
 from shared.robots import Foot, Robot
@@ -195,7 +196,7 @@ def _values_backwards(
     stop = _CAPTURE_PRICE * beyond**2 + _CENTRE_PRICE * (offsets - (lowest + highest) / 2) ** 2
     growth, cops = math.exp(omega * _NEXT_TIME), axis.cops[:, None]
     # (d, p, u)
-    landed = cops + (offsets[:, None, None] - cops) * growth - axis.footholds
+    landed = moved_dcm(offsets[:, None, None], cop=cops, growth=growth) - axis.footholds
     price = (
         _COP_PRICE * (cops - axis.cop_nominal) ** 2
         + _FOOTHOLD_PRICE * (axis.footholds - axis.nominal) ** 2
@@ -259,7 +260,7 @@ def choose_step(
     by_foothold: list[np.ndarray] = []
     for axis, (cops, footholds, values, direction) in enumerate(axes):
         dcm, force = question.dcm[axis], question.disturbance[axis]
-        at_end = cops + (dcm - cops) * growth[:, None] + (force * pushed)[:, None]
+        at_end = moved_dcm(dcm, cop=cops, growth=growth[:, None]) + (force * pushed)[:, None]
         price = _values(law.offsets, values, direction * (at_end[:, :, None] - footholds))
         price += _COP_PRICE * (cops[:, None] - law.cop_nominal[axis]) ** 2
         price += _FOOTHOLD_PRICE * (footholds - question.nominal[axis]) ** 2
@@ -282,7 +283,8 @@ def choose_step(
         of_cop = by_cop[axis][t, :, k]
         foothold[axis] = _vertex(axes[axis][1], by_foothold[axis][t], k)
         cop[axis] = _vertex(axes[axis][0], of_cop, int(of_cop.argmin()))
-    at_end = cop + (question.dcm - cop) * growth[t] + question.disturbance * pushed[t]
+    by_force = question.disturbance * pushed[t]
+    at_end = moved_dcm(question.dcm, cop=cop, growth=growth[t]) + by_force
     return StepChoice(foothold, float(remaining[t]), cop, at_end, cost)
 
 

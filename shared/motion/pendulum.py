@@ -1,0 +1,18 @@
+"""The linear inverted pendulum over a centre of pressure (CoP) that stays.
+
+The divergent component of motion (DCM) ξ = c + ċ/ω leaves the CoP p. After a time T
+
+    ξ_T = p + (ξ − p) e^{ωT}.
+
+A negative T goes back in time. After Englsberger, Ott & Albu-Schäffer 2015.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def moved_dcm(dcm: np.ndarray, *, cop: np.ndarray, growth: float | np.ndarray) -> np.ndarray:
+    """Return the DCM [m] after a time T, with `growth` = e^{ωT}. The arrays are broadcast."""
+    moved: np.ndarray = cop + (dcm - cop) * growth
+    return moved
