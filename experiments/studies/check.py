@@ -13,9 +13,9 @@ import shared.process.native_libraries  # noqa: F401
 
 # isort: on
 import argparse
-import contextlib
 import json
 import secrets
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +34,7 @@ from experiments.studies.trial_sequence import Trial
 from experiments.studies.trial_table import read_trials, row_of
 from experiments.studies.workers import players
 from shared.errors import ConfigError
+from shared.output.screen import StatusLine
 from shared.process.cli import EXIT_STANDING
 
 EXIT_DIFFERENT = 1
@@ -159,7 +160,8 @@ def replayed(
     number_of = {id(trial): number for number, trial in trials.items()}
     different = []
     progress = Progress(done=0, falls=0, left=len(trials))
-    with contextlib.closing(progress), players(workers) as team:
+    status = StatusLine(progress.line, stream=sys.stderr, stays=True)
+    with status, players(workers) as team:
         for trial in trials.values():
             team.submit(trial)
         for left in reversed(range(len(trials))):

@@ -1,4 +1,4 @@
-"""Progress of a sweep: a bar in place on a terminal, else a line every ten seconds."""
+"""Progress of a sweep in a line: its trials, its falls, its rate, and a bar on a terminal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import time
 
 from shared.output.screen import rewrites_lines
 
-_EVERY_SECONDS = 10.0
 _BAR = (10, 40)
 # Width of a terminal that does not report it [characters].
 _COLUMNS = 80
@@ -20,11 +19,7 @@ class Progress:
     def __init__(self, *, done: int, falls: int, left: int) -> None:
         self._done, self._falls, self._left = done, falls, left
         self._played = 0
-        self._started = self._printed = time.perf_counter()
-        self._terminal = rewrites_lines(sys.stderr)
-        self._open = False
-        if self._terminal and left > 0:
-            self._print()
+        self._started = time.perf_counter()
 
     def finished(self, *, fell: bool, left: int) -> None:
         """Count one more trial."""
@@ -32,8 +27,6 @@ class Progress:
         self._done += 1
         self._falls += fell
         self._left = left
-        if self._terminal or left == 0 or time.perf_counter() - self._printed >= _EVERY_SECONDS:
-            self._print()
 
     def about(self) -> dict[str, float]:
         """The number of trials played, the time [s], and the rate [1/min]."""
@@ -44,29 +37,20 @@ class Progress:
             "trials_per_minute": round(60 * self._played / seconds, 2),
         }
 
-    def close(self) -> None:
-        """End the line of the bar, so that the next output begins on a new line."""
-        if self._open:
-            print(file=sys.stderr, flush=True)
-            self._open = False
-
-    def _print(self) -> None:
-        self._printed = time.perf_counter()
+    def line(self) -> str:
+        """Return the line for standard error, no longer than a terminal there is wide."""
         total = self._done + self._left
         text = f"{self._done}/{total}, {self._falls} falls"
         if self._played:
-            rate = self._played / (self._printed - self._started)
+            rate = self._played / (time.perf_counter() - self._started)
             left = round(self._left / rate)
             text += f", {60 * rate:.1f}/min, {left // 60}:{left % 60:02} left"
-        if not self._terminal:
-            print(f"trials {text}", file=sys.stderr, flush=True)
-            return
+        if not rewrites_lines(sys.stderr):
+            return f"trials {text}"
         min_width, max_width = _BAR
         columns = os.get_terminal_size(sys.stderr.fileno()).columns or _COLUMNS
         width = min(columns - len(text) - 4, max_width)
-        bar = ""
-        if width >= min_width:
-            full = width * self._done // total
-            bar = f"▕{'█' * full}{' ' * (width - full)}▏ "
-        print(f"\r\x1b[K{bar}{text}", end="", file=sys.stderr, flush=True)
-        self._open = True
+        if width < min_width:
+            return text
+        full = width * self._done // total
+        return f"▕{'█' * full}{' ' * (width - full)}▏ {text}"

@@ -13,7 +13,6 @@ import shared.process.native_libraries  # noqa: F401
 
 # isort: on
 import argparse
-import contextlib
 import json
 import os
 import sys
@@ -33,6 +32,7 @@ from experiments.studies.trial_sequence import Outcome, Trial, TrialSequence, ou
 from experiments.studies.trial_table import row_of, table_in_words, write_trials
 from experiments.studies.workers import EXAMPLE, Players, players
 from shared.errors import ConfigError
+from shared.output.screen import StatusLine
 from shared.process.cli import EXIT_STANDING
 
 
@@ -135,7 +135,8 @@ def sweep(
             falls = sum(record["summary"]["fell"] for record in kept)
             progress = Progress(done=len(kept), falls=falls, left=study.max_left(missing))
             if missing:
-                with contextlib.closing(progress), players(workers, scheduler) as team:
+                status = StatusLine(progress.line, stream=sys.stderr, stays=True)
+                with status, players(workers, scheduler) as team:
                     workers = team.number
                     for trial, record in _playing(missing, records, team):
                         journal.add(trial, record)

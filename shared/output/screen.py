@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TextIO
 
 _CLEAR_LINE = "\r\033[2K"
-_TERMINAL_SECONDS, _PLAIN_SECONDS = 0.25, 5.0
+_TERMINAL_SECONDS, _PLAIN_SECONDS = 0.25, 10.0
 
 
 def has_screen() -> bool:
@@ -26,14 +26,18 @@ def rewrites_lines(stream: TextIO) -> bool:
 class StatusLine:
     """A thread that prints the text of `line` while its context lasts.
 
-    On a terminal it rewrites the line in place, else it prints one every five seconds. The first
-    comes after `quiet` [s]. A stream that cannot be written ends the lines, and nothing else.
+    On a terminal it rewrites the line in place, else it prints one every ten seconds. The first
+    comes after `quiet` [s]. At the end a line that `stays` is printed once more, and any other is
+    removed from the terminal. A stream that cannot be written ends the lines, and nothing else.
     """
 
-    def __init__(self, line: Callable[[], str], *, stream: TextIO, quiet: float = 0.0) -> None:
+    def __init__(
+        self, line: Callable[[], str], *, stream: TextIO, quiet: float = 0.0, stays: bool = False
+    ) -> None:
         self._line = line
         self._stream = stream
         self._quiet = quiet
+        self._stays = stays
         self._in_place = rewrites_lines(stream)
         self._begun = False
         self._done = threading.Event()
@@ -46,16 +50,27 @@ class StatusLine:
     def __exit__(self, *exception: object) -> None:
         self._done.set()
         self._thread.join(timeout=1.0)
-        if self._in_place and self._begun:
-            print(_CLEAR_LINE, end="", file=self._stream, flush=True)
+        if self._stays:
+            self._write(f"{self._shown()}\n")
+        elif self._in_place and self._begun:
+            self._write(_CLEAR_LINE)
 
     def _watch(self) -> None:
-        start, end = (_CLEAR_LINE, "") if self._in_place else ("", "\n")
+        end = "" if self._in_place else "\n"
         seconds = _TERMINAL_SECONDS if self._in_place else _PLAIN_SECONDS
         wait = max(self._quiet, seconds)
         while not self._done.wait(wait):
             self._begun, wait = True, seconds
-            try:
-                print(f"{start}{self._line()}", end=end, file=self._stream, flush=True)
-            except OSError:
+            if not self._write(f"{self._shown()}{end}"):
                 return
+
+    def _shown(self) -> str:
+        return f"{_CLEAR_LINE if self._in_place else ''}{self._line()}"
+
+    def _write(self, text: str) -> bool:
+        """Write a text. Return whether the stream can be written."""
+        try:
+            print(text, end="", file=self._stream, flush=True)
+        except OSError:
+            return False
+        return True

@@ -73,12 +73,21 @@ def test_work_that_ends_at_once_has_no_line_of_status(monkeypatch):
     assert stream.getvalue() == ""
 
 
-def test_a_stream_that_cannot_be_written_ends_nothing(monkeypatch):
+@pytest.mark.parametrize(("terminal", "shown"), [(True, "\r\033[2Kall\n"), (False, "all\n")])
+def test_a_line_that_stays_is_printed_at_the_end(monkeypatch, terminal, shown):
+    monkeypatch.setenv("TERM", "xterm")
+    stream = _Stream(terminal=terminal)
+    with StatusLine(lambda: "all", stream=stream, quiet=3600.0, stays=True):
+        pass
+    assert stream.getvalue() == shown
+
+
+@pytest.mark.parametrize("stays", [True, False])
+def test_a_stream_that_cannot_be_written_ends_nothing(monkeypatch, stays):
     monkeypatch.setenv("TERM", "xterm")
     stream = _Stream(broken=True)
-    status = StatusLine(lambda: "half", stream=stream)
+    status = StatusLine(lambda: "half", stream=stream, stays=stays)
     with status:
         assert stream.tried.wait(60.0)
         status._thread.join(60.0)
         assert not status._thread.is_alive()
-        stream.broken = False
