@@ -11,7 +11,7 @@ from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
 from shared.motion.pendulum import moved_dcm
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin, other
-from shared.motion.stance import Stance, middle
+from shared.motion.stance import Stance, goal_height, middle
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
@@ -197,9 +197,7 @@ def footsteps(
             for foot, each in feet.items()
         }
         swing = min(behind, key=lambda foot: behind[foot])
-    # On unknown ground the goal has the height of the lower foot, because an early landing is safe
-    # and a late one is not.
-    lowest = min(each.z for each in feet.values())
+    height = goal_height(feet)
     made = []
     for k in range(steps):
         support = feet[other(swing)]
@@ -214,7 +212,7 @@ def footsteps(
             y += s * advance[0] + c * advance[1]
             yaw += advance[2]
         place = x - math.sin(yaw) * side, y + math.cos(yaw) * side
-        goal = Footprint(swing, *place, yaw, lowest)
+        goal = Footprint(swing, *place, yaw, height)
         made.append(goal)
         feet[swing] = goal
         swing = other(swing)

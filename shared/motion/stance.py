@@ -56,6 +56,14 @@ class Stance:
         return rest
 
 
+def goal_height(feet: Mapping[Foot, Footprint]) -> float:
+    """Return the height of a goal on unknown ground [m]: that of the lower foot.
+
+    An early landing is safe and a late one is not.
+    """
+    return min(each.z for each in feet.values())
+
+
 def middle(feet: Mapping[Foot, Footprint]) -> tuple[float, float, float]:
     """The middle between the sole frames, and their mean heading."""
     left, right = feet[Foot.LEFT], feet[Foot.RIGHT]

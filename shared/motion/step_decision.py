@@ -16,7 +16,7 @@ from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
 from shared.motion.pendulum import moved_dcm
 from shared.motion.planned import other
-from shared.motion.stance import Stance, middle
+from shared.motion.stance import Stance, goal_height, middle
 from shared.motion.step_law import StepLaw, StepQuestion, choose_step
 from shared.robots import Foot, Robot
 from shared.wbc.balance import convex_hull, within
@@ -112,10 +112,7 @@ class StepDecision:
         # Axes of the support sole as rows, y to the other foot.
         axes = np.array(((c, s), (-side * s, side * c)))
         origin = support.position
-        goal, yaw = np.array((0.0, law.width)), support.yaw
-        # On unknown ground the goal has the height of the lower foot, because an early landing is
-        # safe and a late one is not.
-        z = min(each.z for each in balance.feet.values())
+        goal, yaw, z = np.array((0.0, law.width)), support.yaw, goal_height(balance.feet)
         if in_air.nominal is not None:
             goal = axes @ (in_air.nominal.position - origin)
             yaw, z = in_air.nominal.yaw, in_air.nominal.z
