@@ -167,6 +167,17 @@ def plan_from(
     )
 
 
+def foot_to_lift(report: StepReport, dcm: np.ndarray) -> Foot | None:
+    """Return the foot that the DCM (2,) of a robot leaves that has just landed.
+
+    The DCM is then on its way to the next support foot, and has no time to turn back. None if the
+    robot stands and may lift either foot.
+    """
+    if report.phase == 0 or report.phase_ns * 1e-9 >= _STANDS:
+        return None
+    return max(report.feet, key=lambda each: math.dist(dcm, (each.x, each.y))).foot
+
+
 def footsteps(
     report: StepReport,
     mode: ContactMode,
@@ -182,13 +193,13 @@ def footsteps(
     leads with the foot on the side that the path goes to.
     """
     feet = {each.foot: each for each in report.feet}
+    leaves = foot_to_lift(report, dcm)
     if mode is not ContactMode.DOUBLE_SUPPORT:
         swing = next(each for each, during in SUPPORT_MODE.items() if during is mode)
     elif report.phase == 0:
         swing = Foot.RIGHT if (advance[1] or advance[2]) < 0 else Foot.LEFT
-    elif report.phase_ns * 1e-9 < _STANDS:
-        # The robot has just landed, and its DCM is on its way to the next support foot.
-        swing = max(Foot, key=lambda foot: math.dist(dcm, (feet[foot].x, feet[foot].y)))
+    elif leaves is not None:
+        swing = leaves
     else:
         # The foot that is behind on the path.
         x, y, yaw = middle(feet)

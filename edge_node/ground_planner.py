@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from edge_node.footstep_plan import MAX_STEPS, FootstepBuilder
+from edge_node.footstep_plan import MAX_STEPS, FootstepBuilder, foot_to_lift
 from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
 from shared.motion.footstep_search import FootstepSearch, NoFootstepsError
@@ -58,7 +58,8 @@ class GroundPlanner:
         done = way.done(report.feet)
         in_air = state.mode is not ContactMode.DOUBLE_SUPPORT
         if done is None and not in_air:
-            way, done = self._begin(state.session, report.feet), 0
+            dcm = com[0] + com[1] / self._build.stance.omega
+            way, done = self._begin(state.session, report.feet, foot_to_lift(report, dcm)), 0
         if done is None or not way.found():
             return None
         left = way.steps[done:][:MAX_STEPS]
@@ -72,15 +73,20 @@ class GroundPlanner:
             swing_height=self._swing_height + max(step.obstacle for step in left),
         )
 
-    def _begin(self, session: int, feet: tuple[Footprint, Footprint]) -> _Way:
-        """Begin a way where the feet are, and forget the oldest one if there are too many."""
+    def _begin(self, session: int, feet: tuple[Footprint, Footprint], first: Foot | None) -> _Way:
+        """Begin a way where the feet are, and forget the oldest one if there are too many.
+
+        `first` is the foot that lifts first, if there is a way so.
+        """
         left, right = (
             dataclasses.replace(each, z=self._ground.height(each.x, each.y)) for each in feet
         )
         self._ways.pop(session, None)
         if len(self._ways) >= _MAX_WAYS:
             del self._ways[next(iter(self._ways))]
-        way = self._ways[session] = _Way((left, right), self._search.search((left, right)))
+        way = self._ways[session] = _Way(
+            (left, right), self._search.search((left, right), first=first)
+        )
         return way
 
 

@@ -15,6 +15,7 @@ planning with suboptimality bounds", without the anytime part.
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import math
 from collections.abc import Iterator, Sequence
@@ -105,10 +106,13 @@ class FootstepSearch:
         """
         return next(found for found in self.search(start or self._standing) if found is not None)
 
-    def search(self, start: tuple[Footprint, Footprint]) -> Iterator[tuple[Step, ...] | None]:
+    def search(
+        self, start: tuple[Footprint, Footprint], *, first: Foot | None = None
+    ) -> Iterator[tuple[Step, ...] | None]:
         """Search a part at a time: yield None after each part, and the steps at the end.
 
-        Raise `NoFootstepsError` as `steps` does.
+        The foot `first` swings first, if there is a way so. Raise `NoFootstepsError` as `steps`
+        does.
         """
         goal = self._problem.goal
         places = np.array([complex(each.x, each.y) for each in start])
@@ -117,6 +121,10 @@ class FootstepSearch:
             self._table = HeightTable(
                 self._ground, self._forbidden, places, at_goal, slopes=self._slopes
             )
+        if first is not None:
+            with contextlib.suppress(NoFootstepsError):
+                yield from _Search(self._problem, self._table).run(start, first)
+                return
         yield from _Search(self._problem, self._table).run(start)
 
 
@@ -257,14 +265,21 @@ class _Search:
         self._count = 0
         self._sole_cells: dict[tuple[Foot, float], np.ndarray] = {}
 
-    def run(self, start: tuple[Footprint, Footprint]) -> Iterator[tuple[Step, ...] | None]:
-        """Yield the steps from a stance (left, right) at the end, and None at times before."""
+    def run(
+        self, start: tuple[Footprint, Footprint], first: Foot | None = None
+    ) -> Iterator[tuple[Step, ...] | None]:
+        """Yield the steps from a stance (left, right) at the end, and None at times before.
+
+        The foot `first` swings first; None: the better one of both.
+        """
         goals = self._stance_at_goal()
         stances = [start, start[::-1]]
         # If both ways are as good, the foot on the side of the goal goes first.
         if self._goal.y > 0.0 or (self._goal.y == 0.0 and self._goal.yaw > 0.0):
             stances.reverse()
         for support, swing in stances:
+            if first not in (None, swing.foot):
+                continue
             node = _Node(0.0, support, _Node(0.0, swing, None))
             self._expand(node, goals)
         known: set[tuple[object, ...]] = set()

@@ -265,6 +265,23 @@ def test_over_a_known_ground_the_plan_has_the_heights_of_the_stairs(robot, over_
     assert ends(other) == pytest.approx((*ends(plan)[:2], 0.0), abs=1e-6)
 
 
+@pytest.mark.parametrize("landed", list(Foot))
+def test_a_way_that_begins_anew_at_a_landing_goes_on_with_the_other_foot(
+    robot, over_stairs, landed
+):
+    """The DCM is on its way to the foot that has landed, and has no time to turn back."""
+    feet = {
+        foot: dataclasses.replace(each, y=each.y + 0.08)
+        for foot, each in standing_footprints(robot).items()
+    }
+    com = at_rest(robot, feet)
+    com[0, 1] += 0.03 if landed is Foot.LEFT else -0.03
+    moving = state(robot, phase=2, phase_ns=10_000_000, feet=feet)
+    plan = over_stairs.plan(moving, com=com, number=0)
+    assert plan is not None
+    assert plan.footprints()[0].foot is not landed
+
+
 def test_a_way_is_searched_a_part_at_a_time_and_each_robot_has_its_own(
     robot, over_stairs, monkeypatch
 ):
