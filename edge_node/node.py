@@ -110,7 +110,7 @@ class EdgeNode:
             if self._stepper is not None:
                 self._plan_steps(self._stepper, robot, session, state)
             if state.held_sequences is None:
-                return self._project(robot, state)
+                return self._project(robot, session, state)
             answer = self._factorise(robot, session, state, state.held_sequences)
             if answer is not None:
                 return answer
@@ -152,7 +152,7 @@ class EdgeNode:
             reference=None if self._stepper is None else self._stepper.reference(state),
         )
 
-    def _project(self, robot: str, state: RobotState) -> Answer:
+    def _project(self, robot: str, session: RobotSession, state: RobotState) -> Answer:
         """A projector for a robot that applies it; no data if the QP has no solution."""
         controller = self._controller
         solution, b = self.solve(state)
@@ -178,7 +178,7 @@ class EdgeNode:
             y=assisted.y,
             projectors=(
                 controller.timed(projector, from_ns=state.time_ns),
-                *self._prepared(state, projector),
+                *self._prepared(session, state, projector),
             ),
         )
         return Answer(robot, state.sequence, solution, self._codec.encode_projector(message))
@@ -216,14 +216,16 @@ class EdgeNode:
         solution = WholeBodySolution(QpStatus.SOLVED, None, 0)
         return Answer(robot, state.sequence, solution, self._codec.encode_factorisations(message))
 
-    def _prepared(self, state: RobotState, projector: Projector) -> tuple[TimedProjector, ...]:
+    def _prepared(
+        self, session: RobotSession, state: RobotState, projector: Projector
+    ) -> tuple[TimedProjector, ...]:
         """Projectors of the coming contact modes beside that of a state."""
         config = self._config.switch
         if not config.prepare_on_edge:
             return ()
-        room = DOWNLINK.max_bytes - _MESSAGE_BYTES - 4 * projector.size
+        room = DOWNLINK.max_bytes - _MESSAGE_BYTES - self._codec.n_bytes(projector)
         if self._stepper is not None:
-            return self._prepared_for_steps(state, self._stepper, room=room)
+            return self._prepared_for_steps(session, state, self._stepper, room=room)
         prepared = [
             self._controller.projector_for(
                 state.q, state.v, time_ns=switch_ns, com_command=state.com_command
@@ -234,26 +236,24 @@ class EdgeNode:
         fitting = []
         for timed in prepared:
             # Three projectors of a robot with limits may be too long.
-            if timed is not None and 4 * timed.projector.size <= room:
-                room -= 4 * timed.projector.size
+            if timed is not None and (n_bytes := self._codec.n_bytes(timed.projector)) <= room:
+                room -= n_bytes
                 fitting.append(timed)
         return tuple(fitting)
 
     def _prepared_for_steps(
-        self, state: RobotState, stepper: StepPlanning, *, room: int
+        self, session: RobotSession, state: RobotState, stepper: StepPlanning, *, room: int
     ) -> tuple[TimedProjector, ...]:
         """The projector of a contact mode that a robot may enter by itself at any time.
 
-        On both feet the modes of the two feet take turns, because three projectors are too long for
-        a message. Two are too long in double precision, or if the second one takes more than `room`
-        [bytes].
+        The two other modes take turns, because three projectors are too long for a message. In the
+        air too: between two steps a robot is on both feet for 30 ms, and over a slower link no
+        answer to a state of that time comes before it lifts the other foot. None if the projector
+        takes more than `room` [bytes], as in double precision.
         """
-        if self._config.wire.projector_dtype != "float32":
-            return ()
-        mode = ContactMode.DOUBLE_SUPPORT
-        if state.mode is mode:
-            singles = (ContactMode.LEFT_SUPPORT, ContactMode.RIGHT_SUPPORT)
-            mode = singles[state.sequence % 2]
+        others = [mode for mode in ContactMode if mode is not state.mode]
+        mode = others[session.prepared is others[0]]
+        session.prepared = mode
         reference = stepper.reference(state)
         if reference is not None:
             reference.mode, reference.swing = mode, None
@@ -267,6 +267,6 @@ class EdgeNode:
             reference=reference,
         )
         projector = solution.projector
-        if projector is None or 4 * projector.size > room:
+        if projector is None or self._codec.n_bytes(projector) > room:
             return ()
         return (controller.timed(projector, from_ns=state.time_ns),)

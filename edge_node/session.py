@@ -43,7 +43,8 @@ class RobotSession:
     """One start of one robot.
 
     `newest` is the state to answer next, None if it has been answered. `last_active` are the active
-    sets of the last solutions. `heard_ns` is the edge's time of the last state, and `n_states` is
+    sets of the last solutions. `prepared` is the contact mode whose projector was prepared last,
+    beside that of a state. `heard_ns` is the edge's time of the last state, and `n_states` is
     their number.
     """
 
@@ -53,6 +54,7 @@ class RobotSession:
         self.refresh = FactorisationRefresh(config.correction, motion)
         self.steps = StepDelivery(config.correction.retry_ns)
         self.last_active: dict[ContactMode, ActiveSet] = {}
+        self.prepared: ContactMode | None = None
         self.began_ns = self.heard_ns = now_ns
         self.n_states = 0
         # The number of the turn in which the session was served last.

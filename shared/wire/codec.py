@@ -117,6 +117,10 @@ class Codec:
         A_dagger = _rounded(projector.A_dagger, dtype)
         return dataclasses.replace(projector, A_dagger=A_dagger, open=opened)
 
+    def n_bytes(self, projector: Projector) -> int:
+        """Return the length of a projector's numbers in a message [bytes]."""
+        return projector.size * _DTYPES[self._dtype_of(projector)].itemsize
+
     def _dtype_of(self, projector: Projector) -> str:
         """The number format of a projector: with open rows it would be too long in double."""
         return self._dtype_name if projector.open is None else "float32"
