@@ -34,7 +34,7 @@ from robot_node.onboard import (
     OnBoardComputer,
     StartComputer,
 )
-from robot_node.plan_anchor import PlanAnchor
+from robot_node.plan_anchor import SETTLED_NS, PlanAnchor
 from robot_node.plan_cache import PlanCache
 from robot_node.plant import Plant, make_plant
 from robot_node.safety import JointHold, TorqueGuard, TorqueRateLimiter
@@ -232,11 +232,18 @@ class RobotNode:
             self._model.kinematics(self._q, self._v), self.controller.disturbance, forces
         )
         on_both_feet = self.clock.mode is ContactMode.DOUBLE_SUPPORT
-        decides = self.running and not (on_both_feet and self._answers_stall())
+        held = self._hold.seconds > 0.0
+        decides = self.running and not held and not (on_both_feet and self._answers_stall())
         return self.clock.reference(measured, time_ns=self._plan_ns, decides=decides)
 
     def _answers_stall(self) -> bool:
-        """Return whether no foot may lift, because the newest answer would expire in the air."""
+        """Return whether no foot may lift, because the newest answer would expire in the air.
+
+        The projector of the coming contact mode is as old as the newest answer: the edge prepares
+        those of the other two modes in turn. An edge that does not prepare one, as with
+        `switch.prepare_on_edge` off, answers as soon as the robot is in that mode. A foot that
+        waited for such a projector would never lift.
+        """
         age_ns = self._measured_ns - self.cache.newest_stamp_ns
         allowed_ns = self._config.stepping.lift_within * self._hold_after_ns
         return self.controller.answers_expire and age_ns > allowed_ns
@@ -389,7 +396,11 @@ class RobotNode:
         return self._torque_rate_limiter.bound(tau, changed=changed)
 
     def _held(self, *, age_ns: int) -> Command:
-        if self.running and self._known:
+        if self.plans is not None:
+            # The robot does not move as the plan expects, and is on its way to a stand.
+            if self.running and self._hold.seconds * 1e9 >= SETTLED_NS:
+                self.plans.drop(self.tick)
+        elif self.running and self._known:
             self._plan.hold(
                 self._q_in_world,
                 self._motion,

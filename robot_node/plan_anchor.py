@@ -2,13 +2,16 @@
 
 A reference is a place in the plan's frame (`shared/motion/plan_frame.py`). In a joint hold the
 plan does not move the robot, and its feet may slide or set down elsewhere. A reference that stayed
-where it was would later pull the CoM away from the feet. After `_SETTLED_NS` of a hold the plan's
+where it was would later pull the CoM away from the feet. After `SETTLED_NS` of a hold the plan's
 stance therefore follows the robot's, averaged against noise: the middle between the soles and their
 mean heading.
 
 A walk cannot go on from a standstill in the middle of a step. A hold that comes before its last
 contact switch ends it: the plan's time jumps to its final stand, and the robot stands on the feet
 where they are.
+
+A robot that steps by touch needs no anchor, because its references are over its measured feet
+(`robot_node/stepping.py`).
 """
 
 from __future__ import annotations
@@ -24,9 +27,9 @@ from shared.robots import Foot
 from shared.wbc.model import WholeBodyModel
 from shared.wbc.reference import Motion, Reference, turned
 
-# Hold after which the robot counts as standing still. A shorter one, as at a contact switch without
-# a projector, leaves the plan alone.
-_SETTLED_NS = 100_000_000
+SETTLED_NS = 100_000_000
+"""The hold after which the robot counts as standing still. A shorter one, as at a contact switch
+without a projector, leaves the plan alone."""
 # Weight of the newest tick in the average: a time constant of 50 ms.
 _AVERAGE = 0.02
 # After its last contact switch the CoM of a plan comes to rest within this time.
@@ -62,7 +65,7 @@ class PlanAnchor:
         error[2] = math.remainder(error[2], math.tau)
         self._ticks += 1
         self._average += max(1.0 / self._ticks, _AVERAGE) * error
-        if self._ticks * period_ns < _SETTLED_NS:
+        if self._ticks * period_ns < SETTLED_NS:
             return
         final = self._final_stand_of(motion)
         if final.last_switch_ns is not None and time_ns + self.skipped_ns < final.last_switch_ns:

@@ -66,6 +66,7 @@ class PlanCache:
         self.refused = RefusalCounter()
         self.law = 0
         self.plan = -1
+        self._dropped_at = -1
         self._codec = PlanCodec(codec)
         self._clock = clock
         self._session = session
@@ -74,6 +75,13 @@ class PlanCache:
         if whole_plans:
             # An edge that is silent, or that sends false laws, does not keep the robot from a step.
             clock.law = self._own
+
+    def drop(self, sequence: int) -> None:
+        """Forget the plan, and refuse later all plans by the states up to `sequence`.
+
+        The edge learns that the robot has no plan, and makes one from where the robot stands.
+        """
+        self._clock.plan, self.plan, self._dropped_at = None, -1, sequence
 
     def offer(self, data: bytes, *, sent: SentStates, now_ns: int, time_ns: int) -> bool:
         """Take a received message if it is valid. Return whether it was taken.
@@ -119,6 +127,8 @@ class PlanCache:
             raise MessageRefused("phase", f"{plan.origin.phase}, the robot is in {clock.phase}")
         if plan.number <= self.plan:
             raise MessageRefused("stale", f"plan {plan.number} after {self.plan}")
+        if plan.origin.sequence <= self._dropped_at:
+            raise MessageRefused("stale", f"plan {plan.number}, of before the end of a joint hold")
         # An edge makes at most one plan by a state, so an honest number is not above the states'.
         # A huge one would make all later plans stale.
         if plan.number > plan.origin.sequence:

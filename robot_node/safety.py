@@ -108,10 +108,14 @@ class JointHold:
         self._average += _HOLD_AVERAGE * (q[7:] - self._average)
 
     @property
+    def seconds(self) -> float:
+        """The time since the last tick under normal control [s]."""
+        return self._ticks * self._timestep
+
+    @property
     def sets_foot_down(self) -> bool:
         """Return whether the hold has begun on one foot and the other one is not down yet."""
-        seconds = self._ticks * self._timestep
-        return not self._on_both_feet and 0.0 < seconds < _LEAST_ON_ONE_FOOT
+        return not self._on_both_feet and 0.0 < self.seconds < _LEAST_ON_ONE_FOOT
 
     def torque(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Holding torque at (q, v) in the next tick of a hold, shape (nv − 6,) [N m]."""
@@ -119,7 +123,7 @@ class JointHold:
         posture = self._average
         if self._feet_as_standing or not self._on_both_feet:
             within = _STRAIGHTEN if self._on_both_feet else _SET_DOWN
-            part = min(1.0, self._ticks * self._timestep / within)
+            part = min(1.0, self.seconds / within)
             posture = posture + part * (self._standing - posture)
         torque: np.ndarray = (
             self._bearing + self._stiffness * (posture - q[7:]) - self._damping * v[6:]

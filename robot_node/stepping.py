@@ -150,7 +150,8 @@ class ContactClock:
     def reference(self, measured: Measured, *, time_ns: int, decides: bool = True) -> Reference:
         """Advance the clock to a time of the task. Return the reference then.
 
-        Unless it `decides`, the robot stays in its phase.
+        Unless it `decides`, no foot lifts, and the goal of a swing foot stays. It still lands by
+        touch.
         """
         now, time = measured.kinematics, time_ns * 1e-9
         self._observe(now)

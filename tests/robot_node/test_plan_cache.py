@@ -99,6 +99,21 @@ def test_a_plan_for_the_present_phase_is_followed(bench, plan):
     assert not bench.cache.refused
 
 
+def test_a_robot_that_was_held_takes_only_plans_from_where_it_stands(bench, plan):
+    """A plan that an outage has held back was made for a robot in motion. A new edge begins to
+    count anew.
+    """
+    assert bench.offer(dataclasses.replace(plan, number=0))
+    bench.cache.drop(0)
+    assert (bench.cache.plan, bench.clock.plan) == (-1, None)
+    assert not bench.offer(dataclasses.replace(plan, number=0))
+    assert refusal(bench) == "stale"
+    newer = dataclasses.replace(plan, origin=PlanOrigin(SESSION, 1, 0))
+    assert bench.offer(newer, sequence=1, stamp_ns=STAMP_NS + 1)
+    assert bench.cache.plan == 0
+    assert bench.clock.plan is not None
+
+
 def test_a_law_is_held_and_reported(bench, law):
     assert bench.offer(law)
     assert bench.cache.law == law_identity(law)
