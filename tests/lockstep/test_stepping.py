@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from experiments.lockstep import Lockstep
+from robot_node.cache import ProjectorCache
 from shared.config.config_file import load_config
 from shared.robots import Foot
-from shared.telemetry.schema import STEP_SCHEMA, FootprintKind
+from shared.telemetry.schema import STEP_SCHEMA, FootprintKind, Source
 from shared.wbc.contacts import ContactMode
 from shared.wbc.model import WholeBodyModel
 from tests.lockstep.test_pushes import ITS_LIMITS
@@ -124,12 +125,91 @@ def test_a_walk_goes_over_blocks_that_no_plan_knows():
 def test_no_foot_of_la_lifts_into_a_dead_link():
     """The first step would begin 0.33 s after the newest answer, which expires after 0.5 s."""
     settings = {"controller": "la", "link.outage": ["cut@300ms"]}
-    lockstep, result = play(**{**WALK, **settings}, duration=0.9)
+    lockstep, result = play(**{**WALK, **settings}, duration=0.85)
     assert lockstep.robot.plans.plan >= 0
     assert lockstep.robot.clock.phase == 0
     assert not result.summary["fell"]
-    without, _ = play(**{**WALK, **settings, "stepping.lift_within": np.inf}, duration=0.9)
+    without, _ = play(**{**WALK, **settings, "stepping.lift_within": np.inf}, duration=0.85)
     assert without.robot.clock.phase > 0
+
+
+@pytest.mark.parametrize("in_the_air", [True, False])
+def test_the_projector_of_the_coming_mode_is_as_old_as_the_newest_answer(in_the_air, monkeypatch):
+    """Over 50 ms no answer to a state on both feet comes within the 30 ms between two steps. If the
+    edge prepares in the air only the landing, the newest answer says nothing about the next step:
+    its projector is that of the step before, and expires as the foot lifts.
+    """
+    settings = {**WALK, "controller": "la", "link.network": "constant:50ms", "duration": 1.2}
+    config = load_config(None, {"view": "off", **settings})
+    lockstep = Lockstep(config, all_active_sets=False)
+    node, edge, cache = lockstep.robot, lockstep.edge, lockstep.robot.cache
+    assert isinstance(cache, ProjectorCache)
+    prepare, advance, ages = edge._prepared_for_steps, node.clock.reference, []
+
+    def only_the_landing(session, state, stepper, *, room):
+        if state.mode is not ContactMode.DOUBLE_SUPPORT:
+            session.prepared = ContactMode(3 - state.mode)
+        return prepare(session, state, stepper, room=room)
+
+    def advanced(measured, *, time_ns, decides):
+        before = node.clock.phase
+        reference = advance(measured, time_ns=time_ns, decides=decides)
+        if node.clock.phase > before and reference.mode is not ContactMode.DOUBLE_SUPPORT:
+            coming = cache.lookup(reference.mode, time_ns=time_ns)
+            assert coming is not None
+            stamps = cache.newest_stamp_ns, coming.stamp_ns
+            ages.append([lockstep.clock.now_ns() - stamp_ns for stamp_ns in stamps])
+        return reference
+
+    if not in_the_air:
+        monkeypatch.setattr(edge, "_prepared_for_steps", only_the_landing)
+    monkeypatch.setattr(node.clock, "reference", advanced)
+    result = lockstep.run()
+    first, second = np.array(ages) / 1e6
+    assert max(first[0], second[0]) <= 52.0
+    assert first[1] <= first[0] + 2.0
+    held = np.count_nonzero(result.schema.column(result.rows, "source")[100:] == Source.HELD)
+    if in_the_air:
+        assert second[1] <= second[0] + 2.0
+        assert held == 0
+    else:
+        assert second[1] > 450.0
+        assert held > 0
+
+
+def test_no_foot_lifts_while_the_joints_are_held():
+    """The plan's time passes in an outage. When the link is back the robot stands, with its CoM
+    between the feet, and has to shift its weight before the first step.
+    """
+    settings = {"controller": "la", "link.outage": ["1s@300ms"]}
+    lockstep, result = play(**{**WALK, **settings}, duration=2.5)
+    assert not result.summary["fell"]
+    time_ns, mode, source = (
+        result.schema.column(result.rows, name) for name in ("time_ns", "mode", "source")
+    )
+    held = (source == Source.HELD) & (time_ns > 0)
+    assert held.sum() > 400
+    released_ns, lifted_ns = time_ns[held][-1], time_ns[mode != 0][0]
+    assert lifted_ns - released_ns > 0.5e9
+    # Without the shift the first step goes 17 cm to the side.
+    assert sum(foot.y for foot in lockstep.robot.clock.feet.values()) / 2 == pytest.approx(
+        0.0, abs=0.03
+    )
+
+
+def test_after_an_outage_la_goes_on_to_its_goal(robot):
+    """The joints are held in a step. The goal stays where it is in the world."""
+    settings = {"controller": "la", "link.outage": ["800ms@1s"]}
+    way = {"task": "go", "walk.goal": "0.3,0", "walk.end_duration": 0.8}
+    lockstep, result = play(**{**WALK, **settings, **way}, duration=4.2)
+    assert not result.summary["fell"]
+    source = result.schema.column(result.rows, "source")
+    assert np.count_nonzero(source[100:] == Source.HELD) > 200
+    soles = WholeBodyModel(robot).sole_placements(result.schema.column(result.rows, "q")[-1])
+    for foot, own in lockstep.robot.clock.feet.items():
+        place = soles[foot].translation
+        assert place[0] == pytest.approx(0.3, abs=0.06)
+        np.testing.assert_allclose(place[:2], own.position, rtol=0.0, atol=0.01)
 
 
 def test_feet_that_land_by_touch_turn_onto_a_slope(robot):
