@@ -211,6 +211,7 @@ def _robot_from_rows(rows: _Rows) -> dict[str, Any]:
         refused=None,
         answers=None,
         sensor_faults=None,
+        base_estimate=None,
         torque_limits={},
     )
 

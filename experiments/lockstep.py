@@ -294,6 +294,7 @@ class Lockstep:
             refused=dict(self.robot.refused),
             answers=self.robot.answers.by_sender,
             sensor_faults=dict(self.robot.sensor_guard.faults),
+            base_estimate=self.robot.base_estimate,
             torque_limits=self._torque_limits,
         )
         edge = edge_report(

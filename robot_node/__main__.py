@@ -134,6 +134,7 @@ def main() -> int:
             refused=dict(node.refused),
             answers=node.answers.by_sender,
             sensor_faults=dict(node.sensor_guard.faults),
+            base_estimate=node.base_estimate,
             torque_limits=torque_limits(robot, clamp=config.robot.torque_clamp),
         )
 

@@ -30,6 +30,11 @@ STALE_NS = 250_000_000
 _BETWEEN_SECONDS = 2.0
 # The time between two looks for a command while simulated time stands still.
 _STANDING_SECONDS = 2e-3
+# The narrator's words for a base's estimate that has moved without the robot.
+_MOVED = {
+    "jumps": "the base's estimate has jumped: the robot goes on where it was",
+    "drifts": "the base's estimate drifts: the plan stays with the feet",
+}
 # An overtaken message is refused as a matter of course.
 _OVERTAKEN = "stale"
 
@@ -119,6 +124,11 @@ class LiveLoop:
     def sensor_faults(self) -> dict[str, int]:
         """Samples held over so far, by the sensor."""
         return dict(self._node.sensor_guard.faults)
+
+    @property
+    def base_estimate(self) -> dict[str, int]:
+        """Jumps and drifts of the base's estimate so far."""
+        return self._node.base_estimate
 
     def receive(self, delivery: Delivery) -> None:
         """Take in a message from the edge; called on the bus's thread."""
@@ -289,6 +299,7 @@ class Narrator:
         fallen = False
         reported = {_OVERTAKEN}
         faulty: set[str] = set()
+        moved: set[str] = set()
         answering = 1
         while not self._done.wait(self._PERIOD_SECONDS):
             progress = self._loop.progress
@@ -329,6 +340,10 @@ class Narrator:
                     f"{at}: implausible measurement of {sensor}: held over; counted in the report "
                     "at the end"
                 )
+            for kind, count in self._loop.base_estimate.items():
+                if count and kind not in moved:
+                    moved.add(kind)
+                    self._say(f"{at}: {_MOVED[kind]}; counted in the report at the end")
             for reason in self._loop.refused.keys() - reported:
                 reported.add(reason)
                 self._say(

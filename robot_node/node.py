@@ -161,6 +161,11 @@ class RobotNode:
         return RefusalCounter(self.cache.refused + self.plans.refused)
 
     @property
+    def base_estimate(self) -> dict[str, int]:
+        """Jumps and drifts of the base's estimate so far."""
+        return {"jumps": self.sensor_guard.base_jumps, "drifts": self._plan.drifts}
+
+    @property
     def walk_ended(self) -> bool:
         """Return whether a joint hold has ended the walk."""
         return self._plan.ended
@@ -303,7 +308,10 @@ class RobotNode:
             on_both_feet=self._reference.mode is ContactMode.DOUBLE_SUPPORT,
             feet_as_standing=self._stays and (self.clock is None or self.clock.phase == 0),
         )
-        self._plan.release()
+        if self.clock is None and self.running:
+            self._plan.stand(self._q, self._motion, time_ns=self.time_ns)
+        else:
+            self._plan.release()
         source = Source.FRESH if decision.sequence == self.tick else decision.source
         if self._stopping and source is not Source.CACHED:
             source = Source.STOPPING
@@ -441,14 +449,16 @@ class RobotNode:
             plans.refused.update(self.plans.refused)
         self.clock, self.plans = clock, plans
         self._plant.set_state(robot.q_standing, np.zeros(robot.model.nv))
-        faults = self.sensor_guard.faults
+        before, drifts = self.sensor_guard, self._plan.drifts
         self.sensor_guard = SensorGuard(robot, config.sensors, period_ns=period_ns)
-        self.sensor_guard.faults.update(faults)
+        self.sensor_guard.faults.update(before.faults)
+        self.sensor_guard.base_jumps = before.base_jumps
         self.tick_row.forget_soles()
         self._hold = JointHold(robot, timestep=period_ns * 1e-9)
         self._torque_rate_limiter = TorqueRateLimiter(self._guard)
         self._motion = self._whole_motion
         self._plan = PlanAnchor(self._model, skipped_ns=-self.time_ns)
+        self._plan.drifts = drifts
         self._pushes = tuple(each for each in self._pushes if each.start_ns > self.time_ns)
         self._stopping = self._lands = self.fallen = False
 

@@ -39,6 +39,7 @@ def robot_report(
     refused: dict[str, int] | None,
     answers: dict[str, dict[str, int]] | None,
     sensor_faults: dict[str, int] | None,
+    base_estimate: dict[str, int] | None,
     torque_limits: Mapping[str, float],
 ) -> dict[str, Any]:
     """Return the robot's part, from its tick rows; rows before the task began are left out.
@@ -48,7 +49,8 @@ def robot_report(
     The robot has `sent` a state in every tick, but the file of a long run has rows of its first
     ticks only. `task_seconds` counts all ticks, `measured_seconds` those with a row. All other
     figures come from the rows. `torque_limits` are those of the joints [N m], by name.
-    `answers_used` is the number of states of the task whose answers were used.
+    `base_estimate` counts the `jumps` and `drifts` of the base's estimate that the robot has
+    followed. `answers_used` is the number of states of the task whose answers were used.
     `youngest_answer_ms` is the age of the youngest answer at its use, also before the task; None
     without an answer.
     """
@@ -87,6 +89,7 @@ def robot_report(
         "overruns": int(column("overruns")[-1]) if len(rows) else 0,
         "realtime_factor": round(seconds / wall_seconds, 4) if wall_seconds > 0 else None,
         "sensor_faults": sensor_faults,
+        "base_estimate": base_estimate,
         "log_hash": log_hash(schema, rows),
         "link": {
             "uplink": {"sent": sent},

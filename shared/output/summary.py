@@ -243,6 +243,12 @@ def _counters(summary: Mapping[str, Any]) -> list[str]:
     if faults := summary.get("sensor_faults"):
         held = ", ".join(f"{sensor} {count} ×" for sensor, count in faults.items())
         lines.append(f"  sensor faults held over: {held}")
+    moved = summary.get("base_estimate") or {}
+    if any(moved.values()):
+        lines.append(
+            f"  the base's estimate moved: {moved['jumps']} jumps, {moved['drifts']} drifts; the "
+            "robot did not follow it"
+        )
     if not summary["task_seconds"]:
         return lines
     return [

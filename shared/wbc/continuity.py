@@ -6,17 +6,24 @@ import math
 
 import numpy as np
 
-# The same for the base, whose measurement has no noise [m, and part of a quaternion].
+# The largest difference of a base without noise [m, and part of a quaternion].
 _BASE_JUMP = 0.05
 
 
 def continues(
-    before: np.ndarray, q: np.ndarray, v: np.ndarray, *, seconds: float, jump: float
+    before: np.ndarray,
+    q: np.ndarray,
+    v: np.ndarray,
+    *,
+    seconds: float,
+    jump: float,
+    base_jump: float = _BASE_JUMP,
 ) -> np.ndarray:
     """Return whether the base and each joint of q (nq,) follow from the configuration `before`.
 
     Truth values (1 + n_joints,). A joint may differ by `jump` [rad] from the position to which v
-    (nv,) takes it in `seconds`. A value that is NaN is false.
+    (nv,) takes it in `seconds`, and the base by `base_jump` [m, part of a quaternion]. A value that
+    is NaN is false.
     """
     moved = q - before
     follows = np.empty(len(q) - 6, dtype=bool)
@@ -26,7 +33,7 @@ def continues(
     speed, rate = (seconds * _norm(part) for part in (v[:3], v[3:6]))
     # The chord between the quaternions before and after a turn by an angle.
     chord = 2.0 * abs(math.sin(0.25 * rate)) if math.isfinite(rate) else math.nan
-    follows[0] = abs(position - speed) <= _BASE_JUMP and abs(quaternion - chord) <= _BASE_JUMP
+    follows[0] = abs(position - speed) <= base_jump and abs(quaternion - chord) <= base_jump
     return follows
 
 

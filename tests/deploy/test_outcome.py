@@ -45,6 +45,7 @@ def robot_life(run: Path) -> None:
         refused={},
         answers={},
         sensor_faults={},
+        base_estimate={},
         torque_limits={},
     )
     (run / "telemetry.json").write_text(json.dumps(report))

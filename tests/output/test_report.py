@@ -47,18 +47,24 @@ def ticks(count, *, waiting=0):
 def robot_part(rows, **changes):
     counts: dict[str, Any] = {"fell": False, "wall_seconds": 2.0, "sent": 10, "received": 8}
     counts |= {"lost": 1, "refused": {}, "answers": {}, "sensor_faults": {}}
+    counts["base_estimate"] = {"jumps": 0, "drifts": 0}
     counts["torque_limits"] = {f"joint{k}": 100.0 for k in range(31)}
     return robot_report(SCHEMA, rows, **{**counts, **changes})
 
 
 def test_a_summary_says_who_answered_and_which_sensors_failed():
     answers = {"0a": {"taken": 7, "refused": 0}, "0b": {"taken": 2, "refused": 3}}
-    part = robot_part(ticks(10), answers=answers, sensor_faults={"LKnee": 4})
+    moved = {"jumps": 2, "drifts": 0}
+    part = robot_part(ticks(10), answers=answers, sensor_faults={"LKnee": 4}, base_estimate=moved)
     text = summary_in_words(
         summary(RunConfig(), robot=part, edge=None, link=None, discrepancy=None)
     )
     assert "answers from 2 edges: 7 of 0a (0 refused), 2 of 0b (3 refused)" in text
     assert "sensor faults held over: LKnee 4 ×" in text
+    assert "the base's estimate moved: 2 jumps, 0 drifts; the robot did not follow it" in text
+    part = robot_part(ticks(10))
+    whole = summary(RunConfig(), robot=part, edge=None, link=None, discrepancy=None)
+    assert "estimate" not in summary_in_words(whole)
 
 
 def summary_on(machine):

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from robot_node.sensor_guard import HELD_OVER_TICKS, SensorGuard
+from robot_node.sensors import Sensors
 from shared.config.robot_settings import SensorConfig
 from shared.motion.plan import make_motion
+from shared.motion.plan_frame import PlanFrame
 from shared.telemetry.schema import Source
 from tests.robot_node.bench import Bench
 
@@ -105,6 +108,89 @@ def test_a_value_that_no_robot_can_have_is_passed_on_as_nan(guard, robot, place,
         assert np.nanmax(np.abs(checked)) < 1e3
         passed.append(bool(np.isnan(checked).any()))
     assert passed == [30 + HELD_OVER_TICKS <= tick < 150 for tick in range(200)]
+
+
+# Jumps of the base's estimate: displacement [m] and turn about the vertical [rad].
+JUMPS = [PlanFrame(x=0.03), PlanFrame(y=-1.0), PlanFrame(z=0.3), PlanFrame(yaw=0.1)]
+JUMPS += [PlanFrame(100.0, -50.0, 3.0, -0.2)]
+
+
+@pytest.mark.parametrize("jump", JUMPS)
+def test_a_base_that_jumps_and_stays_there_is_where_it_was(guard, robot, jump):
+    for tick, (q, v) in enumerate(moving(robot, 400)):
+        measured = jump.in_world(q) if 30 <= tick < 200 else q
+        checked, _ = guard.check(measured, v)
+        np.testing.assert_allclose(checked, q, atol=1e-9)
+    # There and back again.
+    assert guard.base_jumps == 2
+    assert guard.faults == {"base": 2 * HELD_OVER_TICKS}
+
+
+def test_a_base_that_jumps_for_a_moment_is_measured_as_before(guard, robot):
+    for tick, (q, v) in enumerate(moving(robot, 200)):
+        measured = PlanFrame(1.0, 2.0, 3.0).in_world(q) if 30 <= tick < 80 else q
+        checked, _ = guard.check(measured, v)
+        np.testing.assert_allclose(checked, q, atol=1e-9)
+    assert checked is measured
+    assert guard.base_jumps == 0
+
+
+@pytest.mark.parametrize("pause", [10, 60, 200])
+def test_an_estimate_that_begins_anew_elsewhere_is_no_motion(guard, robot, pause):
+    for tick, (q, v) in enumerate(moving(robot, 500)):
+        measured = PlanFrame(0.0, 1.0, -2.0).in_world(q) if tick >= 30 else q.copy()
+        if 30 <= tick < 30 + pause:
+            measured[:7] = NAN
+        checked, _ = guard.check(measured, v)
+    # It is where it was when it was known last, at least.
+    np.testing.assert_allclose(checked, q, atol=0.2 if pause > HELD_OVER_TICKS else 1e-9)
+    assert guard.base_jumps == 1
+
+
+def test_a_base_that_is_unknown_at_first_is_where_it_is_measured(guard, robot):
+    for tick, (q, v) in enumerate(moving(robot, 200)):
+        measured = q.copy()
+        if tick < 100:
+            measured[0] = NAN
+        checked, _ = guard.check(measured, v)
+    assert checked is measured
+    assert guard.base_jumps == 0
+
+
+@pytest.mark.parametrize("pause", [60, 200])
+def test_an_estimate_that_comes_back_is_measured_as_before(guard, robot, pause):
+    for tick, (q, v) in enumerate(moving(robot, 300)):
+        measured = q.copy()
+        if 30 <= tick < 30 + pause:
+            measured[:7] = NAN
+        checked, _ = guard.check(measured, v)
+    assert checked is measured
+    assert guard.base_jumps == 0
+
+
+def test_a_base_that_tilts_by_a_jump_is_passed_on(guard, robot):
+    """Gravity says which way is up: no frame explains the jump."""
+    tilted = pin.Quaternion(pin.exp3(np.array([0.0, 0.2, 0.0])))
+    for tick, (q, v) in enumerate(moving(robot, 200)):
+        measured = q.copy()
+        if tick >= 30:
+            measured[3:7] = (tilted * pin.Quaternion(q[3:7])).coeffs()
+        checked, _ = guard.check(measured, v)
+        held = 30 <= tick < 30 + HELD_OVER_TICKS
+        np.testing.assert_allclose(checked, q if held else measured, atol=1e-9)
+    assert guard.base_jumps == 0
+
+
+NOISY = [SensorConfig(base_position_noise=0.02), SensorConfig(base_position_drift=0.02)]
+NOISY += [SensorConfig(tilt_noise=0.02)]
+
+
+@pytest.mark.parametrize("config", NOISY)
+def test_noise_of_the_base_is_no_fault(robot, config):
+    guard, sensors = SensorGuard(robot, config, period_ns=MS), Sensors(config, seed=1)
+    for q, v in moving(robot, 3000):
+        guard.check(*sensors.measure(q, v))
+    assert not guard.faults
 
 
 def test_a_fault_that_comes_back_is_held_over_again(guard, robot):
