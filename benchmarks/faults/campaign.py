@@ -12,7 +12,18 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from benchmarks.faults import fuzz, live, lockstep
-from benchmarks.faults.cases import FUZZ, KINDS, LIVE, LOCKSTEP, SHORT, Case, make_cases, select
+from benchmarks.faults.cases import (
+    FUZZ,
+    KINDS,
+    LATER,
+    LIVE,
+    LOCKSTEP,
+    SHORT,
+    WHOLE,
+    Case,
+    make_cases,
+    select,
+)
 from benchmarks.faults.page import PAGE, evidence, with_evidence
 from benchmarks.faults.promises import Outcome, broken
 from benchmarks.termination import exit_at_termination
@@ -25,6 +36,7 @@ JOURNAL = "faults.jsonl"
 # The exit code of a campaign in which a promise is broken.
 EXIT_BROKEN = 1
 _ROOMS = {FUZZ: fuzz, LOCKSTEP: lockstep, LIVE: live}
+_LATER = {LOCKSTEP: lockstep.LATER_DRAWS}
 _MAX_WORKERS = 256
 
 Played = dict[Case, Outcome | None]
@@ -93,15 +105,26 @@ def run_faults(arguments: argparse.Namespace) -> int:
 def chosen(
     seed: int, *, short: bool, kinds: list[str] | None = None, only: list[str] | None = None
 ) -> list[Case]:
-    """Return the cases of a campaign; the short one ends each kind after the first ones."""
-    whole = [case for kind in KINDS for case in make_cases(kind, _ROOMS[kind].DRAWS, seed=seed)]
+    """Return the cases of a campaign; the short one has the first ones of each kind."""
+    whole = [
+        case
+        for kind in KINDS
+        for case in make_cases(kind, _ROOMS[kind].DRAWS, later=_LATER.get(kind), seed=seed)
+    ]
     if only:
         return select(whole, only)
     return [
         case
         for case in whole
-        if (not kinds or case.kind in kinds) and (not short or case.number < SHORT[case.kind])
+        if (not kinds or case.kind in kinds) and (not short or _is_short(case))
     ]
+
+
+def _is_short(case: Case) -> bool:
+    """Return whether a case is in the short campaign: the first ones, and those of later faults."""
+    later = _LATER.get(case.kind, {})
+    first = LATER.get(case.kind, WHOLE[case.kind])
+    return case.number < SHORT[case.kind] or first <= case.number < first + len(later)
 
 
 def play(

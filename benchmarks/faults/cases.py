@@ -18,8 +18,11 @@ from shared.errors import ConfigError, one_of
 
 FUZZ, LOCKSTEP, LIVE = KINDS = ("fuzz", "lockstep", "live")
 # The number of cases of each kind: of the whole campaign, and of the short one.
-WHOLE = {FUZZ: 300, LOCKSTEP: 320, LIVE: 64}
+WHOLE = {FUZZ: 300, LOCKSTEP: 356, LIVE: 64}
 SHORT = {FUZZ: 36, LOCKSTEP: 16, LIVE: 1}
+# Faults that came later begin at this number, so that every earlier case keeps its number. The
+# short campaign has the first case of each.
+LATER = {LOCKSTEP: 320}
 
 Parameters = dict[str, Any]
 Draw = Callable[[int, np.random.Generator], Parameters]
@@ -64,18 +67,27 @@ class Case:
 
 
 def make_cases(
-    kind: str, draws: dict[str, Draw], *, seed: int, count: int | None = None
+    kind: str,
+    draws: dict[str, Draw],
+    *,
+    later: dict[str, Draw] | None = None,
+    seed: int,
+    count: int | None = None,
 ) -> list[Case]:
     """Return the first `count` cases of a kind, by default those of the whole campaign.
 
-    `draws` has for each fault a function from a case's number within that fault to its parameters.
+    `draws` has for each fault a function from a case's number within that fault to its parameters,
+    and `later` has those of the faults that came later.
     """
     cases = []
-    faults = list(draws)
     for number in range(WHOLE[kind] if count is None else count):
-        fault = faults[number % len(faults)]
+        series, turn = draws, number
+        if later and number >= LATER[kind]:
+            series, turn = later, number - LATER[kind]
+        faults = list(series)
+        fault = faults[turn % len(faults)]
         rng = np.random.default_rng([seed, KINDS.index(kind), number, 0])
-        parameters = draws[fault](number // len(faults), rng)
+        parameters = series[fault](turn // len(faults), rng)
         cases.append(Case(kind, number, seed, fault, parameters))
     return cases
 

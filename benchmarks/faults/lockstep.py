@@ -1,7 +1,8 @@
 """Faults of link and sensors in lockstep trials: PR, LA and LC, standing and walking.
 
 Cuts, outages and loss are settings of the link. Duplication, reordering and bit flips act on the
-messages between the link and the node that receives them, and glitches on the sensors' values.
+messages between the link and the node that receives them. Glitches act on the sensors' values, and
+jumps and drifts on the estimate of the base.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from shared.bus.base import Delivery, Inbox
 from shared.config.config_file import load_config
 from shared.config.robot_settings import RobotConfig
 from shared.config.settings import RunConfig
+from shared.motion.plan_frame import PlanFrame
 from shared.robots import CATALOGUE, load_robot
 
 _MS = 1_000_000
@@ -90,6 +92,7 @@ def play(case: Case) -> dict[str, Any]:
         "task_seconds": result.summary["task_seconds"],
         "refused": {way: result.summary["link"][way]["refused"] for way in ("uplink", "downlink")},
         "sensor_faults": result.summary.get("sensor_faults", {}),
+        "base_estimate": result.summary.get("base_estimate", {}),
         "held": result.summary["commands"]["held"],
         "log_hash": result.summary["log_hash"],
     }
@@ -114,6 +117,8 @@ def _trial(case: Case) -> TrialResult:
     trial = FaultyLockstep(config_of(case), disturb=_disturbance(case, rng))
     if case.fault == "glitch":
         _glitch(trial, given, rng)
+    elif case.fault in LATER_DRAWS:
+        _move_estimate(trial, given)
     with np.errstate(over="ignore", invalid="ignore"):
         return trial.run()
 
@@ -151,6 +156,25 @@ def _glitch(trial: Lockstep, given: Parameters, rng: np.random.Generator) -> Non
         ms = trial.robot.time_ns // _MS
         if any(begin <= ms < begin + given["ticks"] for begin in begins):
             q[7 + joint] += given["by"]
+        return q, v
+
+    sensors.measure = measure  # type: ignore[method-assign]
+
+
+def _move_estimate(trial: Lockstep, given: Parameters) -> None:
+    """Move the frame of the base's estimate by `by`, (x, y, z [m], turn [rad]), at once or in each
+    second from then on.
+    """
+    sensors = trial.robot._sensors
+    honest = sensors.measure
+    x, y, z, yaw = given["by"]
+
+    def measure(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        q, v = honest(q, v)
+        part = trial.robot.time_ns * 1e-9 - given["at"]
+        if part >= 0.0:
+            part = part if given["each_second"] else 1.0
+            q = PlanFrame(part * x, part * y, part * yaw, part * z).in_world(q)
         return q, v
 
     sensors.measure = measure  # type: ignore[method-assign]
@@ -242,6 +266,25 @@ def _glitches(turn: int, rng: np.random.Generator) -> Parameters:
     return {**parameters, "by": by, "ticks": int(rng.integers(1, 4)), "at": at}
 
 
+def _jump(turn: int, rng: np.random.Generator) -> Parameters:
+    parameters, _ = _trial_of(turn, rng)
+    size = float(rng.choice([0.03, 0.2, 1.0, 30.0]))
+    by = [*(size * rng.uniform(-1.0, 1.0, 2)), rng.uniform(-0.3, 0.3), rng.uniform(-3.0, 3.0)]
+    at = round(float(rng.uniform(0.4, 1.2)), 3)
+    return {**parameters, "by": [round(float(each), 3) for each in by], "at": at} | _AT_ONCE
+
+
+def _drift(turn: int, rng: np.random.Generator) -> Parameters:
+    parameters, _ = _trial_of(turn, rng, push=False, standing=True, seconds=5.0)
+    angle, speed = rng.uniform(-np.pi, np.pi), rng.uniform(0.02, 0.06)
+    by = [speed * np.cos(angle), speed * np.sin(angle), 0.0, rng.uniform(-0.1, 0.1)]
+    return {**parameters, "by": [round(float(each), 3) for each in by], "at": 0.5} | _DRIFTS
+
+
+_AT_ONCE, _DRIFTS = {"each_second": False}, {"each_second": True}
+
+# The faults that came later: `cases.LATER`.
+LATER_DRAWS: dict[str, Draw] = {"jump of the estimate": _jump, "drift of the estimate": _drift}
 DRAWS: dict[str, Draw] = {
     "cut": _cut,
     "outage": _outage,

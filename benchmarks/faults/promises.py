@@ -90,6 +90,12 @@ PROMISES = (
     ),
     Promise(
         LOCKSTEP,
+        "Neither LA nor LC falls when the base's estimate jumps or drifts",
+        _stands,
+        lambda case: case.fault in lockstep.LATER_DRAWS and not _controlled("pr")(case),
+    ),
+    Promise(
+        LOCKSTEP,
         "Every torque is finite and within the clamp, for PR, LA and LC",
         lambda outcome: outcome["finite"] and outcome["clamped"],
     ),

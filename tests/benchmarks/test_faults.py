@@ -11,7 +11,17 @@ import pytest
 
 from benchmarks.faults import fuzz, live, lockstep
 from benchmarks.faults.campaign import JOURNAL, chosen, play, play_case
-from benchmarks.faults.cases import FUZZ, KINDS, LIVE, LOCKSTEP, SHORT, WHOLE, Case, make_cases
+from benchmarks.faults.cases import (
+    FUZZ,
+    KINDS,
+    LATER,
+    LIVE,
+    LOCKSTEP,
+    SHORT,
+    WHOLE,
+    Case,
+    make_cases,
+)
 from benchmarks.faults.hostile import TO_EDGE, TO_OPEN_ROWS, TO_ROBOT
 from benchmarks.faults.hostile_plans import TO_LAW, TO_PLANS
 from benchmarks.faults.page import BEGIN, END, PAGE, evidence, with_evidence
@@ -73,33 +83,43 @@ def test_the_whole_campaign_is_as_large_as_it_says_and_the_short_one_is_its_begi
     for kind in KINDS:
         of_kind = [case for case in whole if case.kind == kind]
         assert len(of_kind) == WHOLE[kind]
-        assert labels([case for case in short if case.kind == kind]) == labels(
-            of_kind[: SHORT[kind]]
-        )
+        first = of_kind[: SHORT[kind]]
+        if kind in LATER:
+            first += of_kind[LATER[kind] :][: len(lockstep.LATER_DRAWS)]
+        assert labels([case for case in short if case.kind == kind]) == labels(first)
     assert WHOLE[LOCKSTEP] >= 300
     assert WHOLE[LIVE] >= 60
+
+
+def test_faults_that_came_later_leave_the_earlier_cases_as_they_were() -> None:
+    earlier = make_cases(LOCKSTEP, lockstep.DRAWS, seed=0, count=LATER[LOCKSTEP])
+    whole = chosen(0, short=False, kinds=[LOCKSTEP])
+    assert labels(whole[: LATER[LOCKSTEP]]) == labels(earlier)
+    assert {case.fault for case in whole[LATER[LOCKSTEP] :]} == set(lockstep.LATER_DRAWS)
 
 
 @pytest.mark.parametrize("kind", [FUZZ, LOCKSTEP])
 def test_the_short_campaign_has_every_fault_of_messages_and_links(kind: str) -> None:
     short = [case.fault for case in chosen(0, short=True, kinds=[kind])]
-    assert set(short) == set(ROOMS[kind].DRAWS)
+    later = lockstep.LATER_DRAWS if kind == LOCKSTEP else {}
+    assert set(short) == set(ROOMS[kind].DRAWS) | set(later)
 
 
 def test_every_lockstep_fault_meets_every_controller_standing_and_walking() -> None:
     met = {
         (case.fault, settings["controller"], settings["task"])
-        for case in make_cases(LOCKSTEP, lockstep.DRAWS, seed=0)
+        for case in chosen(0, short=False, kinds=[LOCKSTEP])
         for settings in (case.parameters["settings"],)
     }
-    for fault in lockstep.DRAWS:
+    for fault in (*lockstep.DRAWS, *lockstep.LATER_DRAWS):
         for controller in lockstep.CONTROLLERS:
             assert (fault, controller, "balance") in met
-            assert (fault, controller, "walk") in met or fault == "repeated holds"
+            stands = fault in ("repeated holds", "drift of the estimate")
+            assert (fault, controller, "walk") in met or stands
 
 
 def test_the_settings_of_every_trial_can_be_read() -> None:
-    for case in make_cases(LOCKSTEP, lockstep.DRAWS, seed=3):
+    for case in chosen(3, short=False, kinds=[LOCKSTEP]):
         assert lockstep.config_of(case).controller == case.parameters["controller"]
 
 
@@ -249,6 +269,12 @@ def test_a_case_that_the_machine_does_not_allow_is_skipped_with_its_reason(
             LOCKSTEP_KEPT,
             {"fell": True},
             "repeated joint holds",
+        ),
+        (
+            case_of(LOCKSTEP, "jump of the estimate", controller="la"),
+            LOCKSTEP_KEPT,
+            {"fell": True},
+            "estimate jumps or drifts",
         ),
         (
             case_of(LOCKSTEP, "loss", controller="la"),
