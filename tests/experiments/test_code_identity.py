@@ -7,11 +7,12 @@ import io
 import json
 import subprocess
 import tarfile
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 import pytest
 
 from experiments.studies.code_identity import PARTS, ROOT, code_version, identity, present_identity
+from shared.process.entry import python
 from shared.toml_file import read_toml
 
 SOURCE = '''"""What it is."""
@@ -30,6 +31,22 @@ class Clamp:
         parser.add_argument("--clamp", help="of torques", metavar="X")
 '''
 CODES = read_toml(ROOT / "experiments/studies/published_codes.toml", what="published codes")["code"]
+ABOUT = [json.loads(file.read_text()) for file in ROOT.glob("docs/results/trials/*/about.json")]
+# Codes that are stated as identities, by their commits. They need no mapping.
+BY_COMMIT = {
+    about["commit"]: about["code"]
+    for about in ABOUT
+    if about["code"] not in {code["of_bytes"] for code in CODES}
+}
+
+
+def archived(commit: str, *parts: str) -> bytes:
+    """Parts of the project at a commit, as a tar archive."""
+    command = ["git", "-C", str(ROOT), "archive", commit, *parts]
+    done = subprocess.run(command, capture_output=True, check=False)
+    if done.returncode != 0:
+        pytest.skip(f"no git history here: {done.stderr.decode(errors='replace').strip()}")
+    return done.stdout
 
 
 def of(source: str, *, name: str = "shared/clamp.py") -> str:
@@ -83,24 +100,28 @@ def test_this_code_has_an_identity() -> None:
     assert present_identity(code_version()) == code_version()
 
 
-def test_every_published_code_is_mapped() -> None:
-    named = set()
-    for about in (ROOT / "docs/results/trials").glob("*/about.json"):
-        message = json.loads(about.read_text())
-        named |= {message["code"], *message["other_code"]}
+def test_every_published_code_is_mapped_or_that_of_its_commit() -> None:
     of_bytes = {code["of_bytes"] for code in CODES}
     identities = {code["identity"] for code in CODES}
-    assert named <= of_bytes | identities | {code_version()}
+    known = of_bytes | identities | {code_version(), *BY_COMMIT.values()}
+    assert {code for about in ABOUT for code in (about["code"], *about["other_code"])} <= known
     assert {present_identity(each) for each in of_bytes} == identities
+
+
+@pytest.mark.parametrize("commit", BY_COMMIT)
+def test_a_published_identity_is_that_of_its_commit(commit: str, tmp_path: Path) -> None:
+    subprocess.run(["tar", "-x", "-C", str(tmp_path)], input=archived(commit, "."), check=True)
+    program = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r});"
+        "from experiments.studies.code_identity import code_version; print(code_version())"
+    )
+    done = subprocess.run(python("-c", program), capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == BY_COMMIT[commit], done.stderr
 
 
 @pytest.mark.parametrize("code", CODES, ids=lambda code: code["commit"][:10])
 def test_a_published_code_is_that_of_its_commit(code: dict[str, str]) -> None:
-    command = ["git", "-C", str(ROOT), "archive", code["commit"], *PARTS]
-    archived = subprocess.run(command, capture_output=True, check=False)
-    if archived.returncode != 0:
-        pytest.skip(f"no git history here: {archived.stderr.decode(errors='replace').strip()}")
-    with tarfile.open(fileobj=io.BytesIO(archived.stdout)) as archive:
+    with tarfile.open(fileobj=io.BytesIO(archived(code["commit"], *PARTS))) as archive:
         sources = {
             each.name: file.read()
             for each in archive
