@@ -209,8 +209,11 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path):
         os.killpg(process.pid, signal.SIGINT)
         # Ends its worker instead of waiting for it.
         assert ended(process) == 130
-        _, message = process.communicate()
+        _, told = process.communicate()
     finally:
         process.kill()
-    assert message == f"interrupted; the same command continues in {out}\n"
+    # A line of progress comes every 10 s, so a slow start has one.
+    *progress, message = told.splitlines()
+    assert message == f"interrupted; the same command continues in {out}"
+    assert all(line.startswith("trials ") for line in progress)
     assert all(json.loads(line)["error"] is None for line in lines_of(out))
