@@ -9,7 +9,7 @@ import numpy as np
 
 from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
-from shared.motion.pendulum import moved_dcm
+from shared.motion.pendulum import dcm_of, moved_dcm
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin, other
 from shared.motion.stance import Stance, goal_height, middle
 from shared.robots import Foot, Robot
@@ -54,7 +54,7 @@ class FootstepBuilder:
             state.steps,
             state.mode,
             advance,
-            dcm=com[0] + com[1] / self.stance.omega,
+            dcm=dcm_of(*com, omega=self.stance.omega),
             steps=steps,
             width=width or self._config.step_width or self.stance.width,
         )
@@ -126,7 +126,7 @@ class FootstepBuilder:
             mode, duration, goal_, _ = spans[0]
             left = max(0.02, duration - elapsed)
             growth = math.exp(omega * left)
-            dcm = com[0] + com[1] / omega
+            dcm = dcm_of(*com, omega=omega)
             shift = (dcm - ends[0]) / (growth - 1.0)
             # With little time left no real CoP suffices, and the step law corrects the step.
             shift *= min(1.0, _FARTHEST_COP / max(1e-9, math.hypot(*shift.tolist())))

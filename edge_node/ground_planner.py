@@ -18,6 +18,7 @@ from shared.motion.footprint import Footprint
 from shared.motion.footstep_search import FootstepSearch, NoFootstepsError
 from shared.motion.footsteps import Step, standing_footprints
 from shared.motion.ground import make_ground
+from shared.motion.pendulum import dcm_of
 from shared.motion.planned import SUPPORT_MODE, Plan
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
@@ -58,7 +59,7 @@ class GroundPlanner:
         done = way.done(report.feet)
         in_air = state.mode is not ContactMode.DOUBLE_SUPPORT
         if done is None and not in_air:
-            dcm = com[0] + com[1] / self._build.stance.omega
+            dcm = dcm_of(*com, omega=self._build.stance.omega)
             way, done = self._begin(state.session, report.feet, foot_to_lift(report, dcm)), 0
         if done is None or not way.found():
             return None

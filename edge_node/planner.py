@@ -17,6 +17,7 @@ from edge_node.ground_planner import GroundPlanner
 from shared.config.quantities import parse_ground
 from shared.config.settings import RunConfig
 from shared.errors import ConfigError
+from shared.motion.pendulum import dcm_of
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase
 from shared.motion.stance import middle
 from shared.motion.step_decision import Balance, InAir, StepDecision
@@ -117,7 +118,7 @@ class ReactivePlanner:
         if report is None:
             return None
         feet = {each.foot: each for each in report.feet}
-        dcm = com[0] + com[1] / self._decision.stance.omega
+        dcm = dcm_of(*com, omega=self._decision.stance.omega)
         balance = Balance(feet, dcm, report.disturbance)
         phases: list[PlannedPhase] = []
         begin_ns = 0

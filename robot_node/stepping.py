@@ -20,7 +20,7 @@ import numpy as np
 from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
 from shared.motion.footsteps import standing_footprints
-from shared.motion.pendulum import moved_dcm
+from shared.motion.pendulum import dcm_of, moved_dcm
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, other
 from shared.motion.stance import middle
 from shared.motion.standing import Standing
@@ -155,7 +155,7 @@ class ContactClock:
         """
         now, time = measured.kinematics, time_ns * 1e-9
         self._observe(now)
-        dcm = now.com[:2] + now.com_velocity[:2] / self._omega
+        dcm = dcm_of(now.com[:2], now.com_velocity[:2], omega=self._omega)
         if self._swing is not None and self._touches(now, measured.forces, time):
             self._land(dcm, time)
         if decides and time_ns >= self._next_ns:

@@ -1,9 +1,9 @@
 """The plan's frame: the frame in which both ends derive references, and its place in the world.
 
-World from plan is a turn about the vertical and a displacement. They are zero until a
-long joint hold ends (`robot_node/plan_anchor.py`). The robot expresses its state in the plan's
-frame before it sends or uses it, so that the edge needs no field for it. Velocities are in the base
-frame and do not change.
+World from plan is a turn about the vertical and a displacement. They are zero until the plan
+follows the feet, after a long joint hold or a drift (`robot_node/plan_anchor.py`). The robot
+expresses its state in the plan's frame before it sends or uses it, so that the edge needs no field
+for it. Velocities are in the base frame and do not change.
 """
 
 from __future__ import annotations
