@@ -7,7 +7,7 @@ jumps and drifts on the estimate of the base.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,8 @@ _RANK_DELIVERY = 0
 
 # Turns a sent message into the arriving messages, each with its delay [ns].
 Disturb = Callable[[Delivery], Iterator[tuple[int, Delivery]]]
+# Changes a measured q (nq,) and v (nv,) in place, at a time of the task [ns].
+Wrong = Callable[[np.ndarray, np.ndarray, int], None]
 
 
 class FaultyLockstep(Lockstep):
@@ -144,40 +146,44 @@ def _disturbance(case: Case, rng: np.random.Generator) -> Disturb:
     return disturb
 
 
-def _glitch(trial: Lockstep, given: Parameters, rng: np.random.Generator) -> None:
-    """Make a joint's sensor wrong by `by` [rad] for `ticks` ticks, at each of the times."""
+def disturb_sensors(trial: Lockstep, wrong: Wrong) -> None:
+    """Let `wrong` change each measurement of a trial's robot in place."""
     sensors = trial.robot._sensors
     honest = sensors.measure
-    joint = int(rng.integers(load_robot(trial.config.robot.name).model.nv - 6))
-    begins = [round(at * 1e3) for at in given["at"]]
 
     def measure(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         q, v = honest(q, v)
-        ms = trial.robot.time_ns // _MS
-        if any(begin <= ms < begin + given["ticks"] for begin in begins):
-            q[7 + joint] += given["by"]
+        wrong(q, v, trial.robot.time_ns)
         return q, v
 
     sensors.measure = measure  # type: ignore[method-assign]
+
+
+def _glitch(trial: Lockstep, given: Parameters, rng: np.random.Generator) -> None:
+    """Make a joint's sensor wrong by `by` [rad] for `ticks` ticks, at each of the times."""
+    joint = int(rng.integers(load_robot(trial.config.robot.name).model.nv - 6))
+    begins = [round(at * 1e3) for at in given["at"]]
+
+    def wrong(q: np.ndarray, v: np.ndarray, time_ns: int) -> None:
+        if any(begin <= time_ns // _MS < begin + given["ticks"] for begin in begins):
+            q[7 + joint] += given["by"]
+
+    disturb_sensors(trial, wrong)
 
 
 def _move_estimate(trial: Lockstep, given: Parameters) -> None:
     """Move the frame of the base's estimate by `by`, (x, y, z [m], turn [rad]), at once or in each
     second from then on.
     """
-    sensors = trial.robot._sensors
-    honest = sensors.measure
     x, y, z, yaw = given["by"]
 
-    def measure(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        q, v = honest(q, v)
-        part = trial.robot.time_ns * 1e-9 - given["at"]
+    def wrong(q: np.ndarray, v: np.ndarray, time_ns: int) -> None:
+        part = time_ns * 1e-9 - given["at"]
         if part >= 0.0:
             part = part if given["each_second"] else 1.0
-            q = PlanFrame(part * x, part * y, part * yaw, part * z).in_world(q)
-        return q, v
+            q[:] = PlanFrame(part * x, part * y, part * yaw, part * z).in_world(q)
 
-    sensors.measure = measure  # type: ignore[method-assign]
+    disturb_sensors(trial, wrong)
 
 
 def _trial_of(
@@ -259,10 +265,14 @@ def _bit_flips(turn: int, rng: np.random.Generator) -> Parameters:
     return {**parameters, "bits": bits, "share": share}
 
 
+def _rounded(numbers: Iterable[float]) -> list[float]:
+    return [round(float(each), 3) for each in numbers]
+
+
 def _glitches(turn: int, rng: np.random.Generator) -> Parameters:
     parameters, _ = _trial_of(turn, rng)
     by = float(rng.choice([50.0, -50.0, 3.0, -1.0, 0.6, -0.45, float("1e6")]))
-    at = sorted(round(float(each), 3) for each in rng.uniform(0.1, 2.0, 3))
+    at = sorted(_rounded(rng.uniform(0.1, 2.0, 3)))
     return {**parameters, "by": by, "ticks": int(rng.integers(1, 4)), "at": at}
 
 
@@ -271,17 +281,15 @@ def _jump(turn: int, rng: np.random.Generator) -> Parameters:
     size = float(rng.choice([0.03, 0.2, 1.0, 30.0]))
     by = [*(size * rng.uniform(-1.0, 1.0, 2)), rng.uniform(-0.3, 0.3), rng.uniform(-3.0, 3.0)]
     at = round(float(rng.uniform(0.4, 1.2)), 3)
-    return {**parameters, "by": [round(float(each), 3) for each in by], "at": at} | _AT_ONCE
+    return {**parameters, "by": _rounded(by), "at": at, "each_second": False}
 
 
 def _drift(turn: int, rng: np.random.Generator) -> Parameters:
     parameters, _ = _trial_of(turn, rng, push=False, standing=True, seconds=5.0)
     angle, speed = rng.uniform(-np.pi, np.pi), rng.uniform(0.02, 0.06)
     by = [speed * np.cos(angle), speed * np.sin(angle), 0.0, rng.uniform(-0.1, 0.1)]
-    return {**parameters, "by": [round(float(each), 3) for each in by], "at": 0.5} | _DRIFTS
+    return {**parameters, "by": _rounded(by), "at": 0.5, "each_second": True}
 
-
-_AT_ONCE, _DRIFTS = {"each_second": False}, {"each_second": True}
 
 # The faults that came later: `cases.LATER`.
 LATER_DRAWS: dict[str, Draw] = {"jump of the estimate": _jump, "drift of the estimate": _drift}

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from benchmarks.faults.lockstep import disturb_sensors
 from experiments.lockstep import Lockstep
 from shared.config.config_file import load_config
 from shared.motion.plan_frame import PlanFrame
@@ -20,17 +21,13 @@ def trial(wrong: Wrong, *, at, duration, **settings):
     """Play a trial in which `wrong` changes (q, v) in place, given the seconds since `at`."""
     settings = {"push": [], "link.network": "constant:10ms", "duration": duration, **settings}
     played = Lockstep(load_config(None, settings), all_active_sets=False)
-    sensors = played.robot._sensors
-    honest = sensors.measure
 
-    def measure(q, v):
-        q, v = honest(q, v)
-        seconds = played.robot.time_ns * 1e-9 - at
+    def from_then_on(q, v, time_ns):
+        seconds = time_ns * 1e-9 - at
         if seconds >= 0.0:
             wrong(q, v, seconds)
-        return q, v
 
-    sensors.measure = measure  # type: ignore[method-assign]
+    disturb_sensors(played, from_then_on)
     return played.run()
 
 
