@@ -123,20 +123,18 @@ class ReceptionCounter:
         if envelope is None:
             return
         sequence, span = envelope.sequence, self._spans.get(envelope.session)
-        if span is None and len(self._spans) >= self._MAX_PUBLISHERS:
-            return
         lead_ns = sequence * _PERIOD_NS - now_ns
-        if span is None:
-            self._spans[envelope.session] = _Span(sequence, sequence, lead_ns)
-            return
-        before_ns = (span.first - sequence) * _PERIOD_NS
-        if max(lead_ns - span.lead_ns, before_ns) > _AHEAD_NS:
+        if span is not None:
+            before_ns = (span.first - sequence) * _PERIOD_NS
+            if max(lead_ns - span.lead_ns, before_ns) <= _AHEAD_NS:
+                span.first, span.last = min(span.first, sequence), max(span.last, sequence)
+                span.lead_ns = max(span.lead_ns, lead_ns)
+                span.arrived += 1
+                return
             self._lost += span.lost
-            self._spans[envelope.session] = _Span(sequence, sequence, lead_ns)
+        elif len(self._spans) >= self._MAX_PUBLISHERS:
             return
-        span.first, span.last = min(span.first, sequence), max(span.last, sequence)
-        span.lead_ns = max(span.lead_ns, lead_ns)
-        span.arrived += 1
+        self._spans[envelope.session] = _Span(sequence, sequence, lead_ns)
 
     @property
     def lost(self) -> int:
