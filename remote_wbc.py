@@ -44,12 +44,12 @@ def begin(name: str) -> None:
     """
     if name != "__main__":
         return
+    # A Ctrl-C is held back until `enter` handles it, also while Python starts again.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     if not sys.flags.isolated:
         # The first entry of sys.path is the current folder.
         if os.path.dirname(os.path.abspath(__file__)) not in sys.path[1:]:
             sys.exit(_not_installed())
-        # A Ctrl-C while Python starts is held back until `enter` handles it.
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         os.execv(sys.executable, [sys.executable, "-I", *sys.orig_argv[1:]])
     from shared.process.entry import enter
 

@@ -214,6 +214,21 @@ def test_a_terminal_that_cannot_show_a_character_shows_another(tmp_path: Path) -
     assert done.stdout == b"\xe9 ? ?\n"
 
 
+def test_an_interrupt_before_commands_can_handle_it_is_silent() -> None:
+    script = (
+        "import os, signal, sys, remote_wbc\n"
+        "class Interrupts:\n"
+        "    def find_spec(self, name, *others):\n"
+        "        if name == 'shared.process.entry':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "sys.meta_path.insert(0, Interrupts())\n"
+        "remote_wbc.begin('__main__')\n"
+    )
+    done = subprocess.run(python("-c", script), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 @pytest.mark.parametrize(
     ("name", "seconds"), [("ps", 0.1), ("ps", 0.2), ("up", 0.2), ("up", 0.5), ("up", 0.8)]
 )
