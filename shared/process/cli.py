@@ -21,7 +21,13 @@ from typing import Any, NoReturn
 
 from shared.commands import wbc
 from shared.errors import UserError, did_you_mean
-from shared.process.entry import EXIT_ERROR, EXIT_INTERRUPTED, end_at_interrupt
+from shared.process.entry import (
+    EXIT_ERROR,
+    EXIT_INTERRUPTED,
+    end_at_interrupt,
+    nothing_begun,
+    raise_at_interrupt,
+)
 
 EXIT_STANDING = 0
 EXIT_FELL = 3
@@ -99,7 +105,11 @@ def run_command(
     version: str | None = None,
 ) -> int:
     """Parse the command line of `wbc`, or of a group of it, and run the command that it names."""
-    parser = command_parser(description, commands, group=group, version=version, typed=sys.argv[1:])
+    # The import of the command's module takes most of the time.
+    with nothing_begun():
+        parser = command_parser(
+            description, commands, group=group, version=version, typed=sys.argv[1:]
+        )
     arguments, unknown = parser.parse_known_args()
     if unknown:
         arguments.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
@@ -154,7 +164,7 @@ def run(main: Callable[[], int]) -> NoReturn:
     silent = before not in (signal.SIG_IGN, signal.SIG_DFL, signal.default_int_handler)
     try:
         if silent:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            raise_at_interrupt()
         code = main()
         sys.stdout.flush()
     except UserError as error:

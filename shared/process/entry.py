@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
+import _thread
+import contextlib
 import importlib.util
 import os
 import signal
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -18,6 +21,9 @@ EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 
 _PR_SET_PDEATHSIG = 1
+
+# Until an interrupt looks again whether the import that it came in has ended.
+_IMPORT_POLL_SECONDS = 0.02
 
 _LIBRARY_PATH = "LD_LIBRARY_PATH"
 # The packages with native libraries whose versions decide the results.
@@ -74,6 +80,43 @@ def end_at_interrupt(code: int) -> None:
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, end)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+def raise_at_interrupt() -> None:
+    """Make Ctrl-C raise `KeyboardInterrupt`, after the import that it comes in, if any.
+
+    A native module that is being imported turns the exception into another one, or aborts the
+    process.
+    """
+    signal.signal(signal.SIGINT, _raise_or_wait)
+
+
+@contextlib.contextmanager
+def nothing_begun() -> Iterator[None]:
+    """Let Ctrl-C end this process at once where it would raise `KeyboardInterrupt` outside."""
+    if signal.getsignal(signal.SIGINT) is not _raise_or_wait:
+        yield
+        return
+    end_at_interrupt(EXIT_INTERRUPTED)
+    try:
+        yield
+    finally:
+        raise_at_interrupt()
+
+
+def _raise_or_wait(number: int, frame: FrameType | None) -> None:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            # No lock of `threading` is taken: the main thread may hold it.
+            _thread.start_new_thread(_interrupt_again, ())
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+def _interrupt_again() -> None:
+    time.sleep(_IMPORT_POLL_SECONDS)
+    os.kill(os.getpid(), signal.SIGINT)
 
 
 def _open_standard_streams() -> None:

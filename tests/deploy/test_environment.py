@@ -230,6 +230,33 @@ def test_an_interrupt_before_commands_can_handle_it_is_silent() -> None:
 
 
 @pytest.mark.parametrize(
+    ("script", "printed"),
+    [
+        # An import that has begun ends: a native module would turn the exception into another.
+        ("run(lambda: __import__('interrupted') and time.sleep(60.0))", "imported\n"),
+        # Nothing else has begun.
+        ("run(lambda: run_command(None, [Subcommand('some', '', 'interrupted')]))", ""),
+    ],
+)
+def test_an_interrupt_within_an_import_is_silent(tmp_path: Path, script: str, printed: str) -> None:
+    (tmp_path / "interrupted.py").write_text(
+        "import os, signal\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    print('imported')\n"
+        "except KeyboardInterrupt:\n"
+        "    print('as a native module')\n"
+    )
+    begun = (
+        "import sys, time; from shared.process.entry import enter; enter();"
+        "from shared.process.cli import Subcommand, run, run_command;"
+        f"sys.path.append({str(tmp_path)!r}); {script}"
+    )
+    done = subprocess.run(python("-c", begun, "some"), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, printed, "")
+
+
+@pytest.mark.parametrize(
     ("name", "seconds"), [("ps", 0.1), ("ps", 0.2), ("up", 0.2), ("up", 0.5), ("up", 0.8)]
 )
 def test_an_interrupt_at_any_moment_is_silent(tmp_path: Path, name: str, seconds: float) -> None:
@@ -250,8 +277,7 @@ def test_an_interrupt_at_any_moment_is_silent(tmp_path: Path, name: str, seconds
     ended = {"ps": (0, "nothing is running\n", ""), "up": (2, "", "cannot read")}[name]
     if process.returncode not in (130, -signal.SIGINT):
         # It had ended already.
-        assert process.returncode == ended[0]
-        assert output == ended[1]
+        assert (process.returncode, output) == ended[:2], errors
         assert ended[2] in errors
     assert len(errors.splitlines()) <= 1
     assert "Traceback" not in errors
