@@ -11,7 +11,7 @@ from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
 from shared.motion.pendulum import dcm_of, moved_dcm
 from shared.motion.planned import SUPPORT_MODE, Plan, PlannedPhase, PlanOrigin, other
-from shared.motion.stance import Stance, goal_height, middle
+from shared.motion.stance import Stance, lower_foot, middle
 from shared.robots import Foot, Robot
 from shared.wbc.contacts import ContactMode
 from shared.wire.messages import RobotState, StepReport
@@ -208,7 +208,7 @@ def footsteps(
             for foot, each in feet.items()
         }
         swing = min(behind, key=lambda foot: behind[foot])
-    height = goal_height(feet)
+    height = lower_foot(feet).z
     made = []
     for k in range(steps):
         support = feet[other(swing)]

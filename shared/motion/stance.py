@@ -56,12 +56,12 @@ class Stance:
         return rest
 
 
-def goal_height(feet: Mapping[Foot, Footprint]) -> float:
-    """Return the height of a goal on unknown ground [m]: that of the lower foot.
+def lower_foot(feet: Mapping[Foot, Footprint]) -> Footprint:
+    """Return the lower footprint, which gives a goal on unknown ground its height.
 
     An early landing is safe and a late one is not.
     """
-    return min(each.z for each in feet.values())
+    return min(feet.values(), key=lambda each: each.z)
 
 
 def middle(feet: Mapping[Foot, Footprint]) -> tuple[float, float, float]:

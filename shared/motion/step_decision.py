@@ -6,6 +6,7 @@ newest state that has arrived.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,9 +15,10 @@ import numpy as np
 
 from shared.config.settings import RunConfig
 from shared.motion.footprint import Footprint
+from shared.motion.ground import make_ground
 from shared.motion.pendulum import moved_dcm
 from shared.motion.planned import other
-from shared.motion.stance import Stance, goal_height, middle
+from shared.motion.stance import Stance, lower_foot, middle
 from shared.motion.step_law import StepLaw, StepQuestion, choose_step
 from shared.robots import Foot, Robot
 from shared.wbc.balance import convex_hull, within
@@ -82,6 +84,7 @@ class StepDecision:
         self.stance = Stance.of(robot, lowering=config.walk.com_lowering)
         self._config = config.stepping
         self._gain = config.wbc.balance.gain
+        self._ground = make_ground(config.ground, seed=config.seed)
         self._corners = {sole.side: sole.corners() for sole in robot.soles}
 
     def must_step(self, balance: Balance) -> bool:
@@ -112,10 +115,10 @@ class StepDecision:
         # Axes of the support sole as rows, y to the other foot.
         axes = np.array(((c, s), (-side * s, side * c)))
         origin = support.position
-        goal, yaw, z = np.array((0.0, law.width)), support.yaw, goal_height(balance.feet)
+        goal, yaw, level = np.array((0.0, law.width)), support.yaw, lower_foot(balance.feet)
         if in_air.nominal is not None:
             goal = axes @ (in_air.nominal.position - origin)
-            yaw, z = in_air.nominal.yaw, in_air.nominal.z
+            yaw, level = in_air.nominal.yaw, in_air.nominal
         # A step after a push follows the DCM at once. A planned one stays where it is as good.
         last = None
         if in_air.nominal is not None and in_air.chosen is not None:
@@ -140,14 +143,30 @@ class StepDecision:
         )
         if choice is None:
             return None
-        x, y = origin + choice.foothold @ axes
+        x, y = (origin + choice.foothold @ axes).tolist()
+        sole = Footprint(in_air.foot, x, y, yaw, level.z)
         return Step(
-            Footprint(in_air.foot, float(x), float(y), yaw, z),
+            dataclasses.replace(sole, z=level.z + self._climb(level, sole)),
             choice.remaining,
             origin + choice.cop @ axes,
             origin + choice.dcm_at_end @ axes,
             choice.cost,
         )
+
+    def _climb(self, begin: Footprint, sole: Footprint) -> float:
+        """Height of the known ground under a level sole, from that in the middle of another one
+        [m].
+
+        Downhill the heel comes first, and the sole lands as high as the ground under it. Uphill the
+        toe comes first, and an early landing is safe.
+        """
+        if self._ground.flat:
+            return 0.0
+        corners = self._corners[sole.foot]
+        heel = corners[corners[:, 0] == corners[:, 0].min(), :2]
+        points = [(sole.x, sole.y), *(sole.to_world((x, y)) for x, y in heel.tolist())]
+        under = float(self._ground.heights(np.array(points)).max())
+        return under - self._ground.height(begin.x, begin.y)
 
     def best_step(
         self, law: StepLaw, balance: Balance, *, without: Foot | None = None
