@@ -94,17 +94,18 @@ class SwingPath:
 
     From `begin` the axes (x, y, z, heading) follow quintics with `coefficients` (6, 4). From
     `highest` on, after the part `share` of the swing, the height follows `descent` (6,), down from
-    `top` [m]. After `end` the foot goes on down.
+    `height` [m] above the higher one of `start` and `goal`. After `end` the foot goes on down.
     """
 
     lift_off: float
     begin: float
     highest: float
     end: float
-    top: float
+    height: float
     share: float
     coefficients: np.ndarray
     descent: np.ndarray
+    start: Footprint
     goal: Footprint
 
     @staticmethod
@@ -117,18 +118,25 @@ class SwingPath:
         """
         at_rest = np.zeros((3, 4))
         at_rest[0] = start.x, start.y, start.z, start.yaw
-        top = max(start.z, goal.z) + height
         climb = goal.z - start.z
         share = _HIGHEST_AT
         if abs(climb) > _STAIR:
             share = _HIGHEST_UP if climb > 0.0 else _HIGHEST_DOWN
-        return _path(at_rest, goal, lift_off=begin, begin=begin, end=end, top=top, share=share)
+        return _path(
+            at_rest, start, goal, lift_off=begin, begin=begin, end=end, height=height, share=share
+        )
 
     def retargeted(self, goal: Footprint, *, time: float, end: float) -> SwingPath:
         """The path that leaves this one at `time` and lands on `goal` at `end`."""
-        state, top = self._axes(time), self.top + max(0.0, goal.z - self.goal.z)
         return _path(
-            state, goal, lift_off=self.lift_off, begin=time, end=end, top=top, share=self.share
+            self._axes(time),
+            self.start,
+            goal,
+            lift_off=self.lift_off,
+            begin=time,
+            end=end,
+            height=self.height,
+            share=self.share,
         )
 
     def state(self, time: float) -> SwingState:
@@ -189,17 +197,19 @@ def _quintic_through(start: np.ndarray, end: np.ndarray, duration: float) -> np.
 
 def _path(
     state: np.ndarray,
+    start: Footprint,
     goal: Footprint,
     *,
     lift_off: float,
     begin: float,
     end: float,
-    top: float,
+    height: float,
     share: float,
 ) -> SwingPath:
-    """The path from a state (3, 4) at `begin` over the height `top` to a footprint at `end`.
+    """The path from a state (3, 4) at `begin` to a footprint at `end`.
 
-    The foot is highest after the part `share` of the swing.
+    The foot is highest after the part `share` of the swing, by `height` above the higher one of the
+    footprints `start` and `goal`.
     """
     yaw = state[0, 3] + math.remainder(goal.yaw - state[0, 3], math.tau)
     landed = np.zeros((3, 4))
@@ -208,10 +218,12 @@ def _path(
     down = np.array([goal.z, -_LANDING_SPEED, 0.0])
     highest = lift_off + share * (end - lift_off)
     if highest - begin > 0.02:
-        turning = np.array([top, 0.0, 0.0])
+        turning = np.array([max(start.z, goal.z) + height, 0.0, 0.0])
         coefficients[:, 2] = _quintic_through(state[:, 2], turning, highest - begin)
         descent = _quintic_through(turning, down, end - highest)
     else:
         highest = begin
         descent = _quintic_through(state[:, 2], down, end - begin)
-    return SwingPath(lift_off, begin, highest, end, top, share, coefficients, descent, goal)
+    return SwingPath(
+        lift_off, begin, highest, end, height, share, coefficients, descent, start, goal
+    )

@@ -65,6 +65,14 @@ def test_between_heights_it_is_as_high_above_the_higher_footprint(start, goal):
     assert max(heights) == pytest.approx(0.11, abs=1e-3)
 
 
+def test_goals_that_go_up_and_down_do_not_raise_the_foot(path):
+    higher = Footprint(Foot.LEFT, 0.25, 0.12, 0.2, 0.03)
+    for tick in range(10):
+        path = path.retargeted(GOAL if tick % 2 else higher, time=1.0 + 5e-3 * tick, end=1.3)
+    heights = [path.state(time).position[2] for time in np.linspace(1.0, 1.3, 61)]
+    assert max(heights) == pytest.approx(0.05, abs=2e-3)
+
+
 def test_the_gains_of_the_peak_are_the_acceleration_of_the_quintic(path):
     middle = path.state(1.1)
     new = path.retargeted(OTHER, time=1.1, end=1.35)
