@@ -93,7 +93,6 @@ class ContactClock:
         self._decision = StepDecision(robot, config)
         self.stance = self._decision.stance
         self._omega = self.stance.omega
-        self._lowering = config.walk.com_lowering
         self._standing = Standing(robot).reference(0)
         self.feet = standing_footprints(robot)
         self._ticks_loaded = dict.fromkeys(Foot, 1000)
@@ -325,7 +324,8 @@ class ContactClock:
         com[:2] = self._com
         velocity[:2] = self._omega * (dcm_ref - self._com)
         acceleration[:2] = self._omega**2 * (self._com - cop)
-        acceleration[2] = self._follow_level(elapsed)
+        # The CoM follows its DCM, and is half of the way there in about a quarter of a second.
+        acceleration[2] = self._follow_level((now.com[:2] + dcm) / 2, elapsed)
         com[2], velocity[2] = standing.com[2] + self._level, self._level_rate
         return Reference(
             com=com,
@@ -338,16 +338,23 @@ class ContactClock:
             com_command=command,
         )
 
-    def _follow_level(self, elapsed: float) -> float:
-        """Let the CoM follow the mean height of the feet. Return its vertical acceleration.
+    def _follow_level(self, com: np.ndarray, elapsed: float) -> float:
+        """Let the CoM follow its height over the feet, at a place (2,) that it comes to. Return its
+        vertical acceleration.
 
-        A swing foot counts with the height of its goal.
+        That is the mean height of the feet, in which a swing foot counts with its goal. In a plan
+        `walk.com_lowering` keeps the knees bent. After a step of no plan the reach of the legs
+        does.
         """
         feet, swing = self.feet, self._swing
+        planned = self._planned is not None
         if swing is not None:
             feet = feet | {swing.foot: swing.path.goal}
-        above = sum(each.z for each in feet.values()) / 2 - self._lowering - self._level
-        rate = _LEVELLING**2 * above - 2.0 * _LEVELLING * self._level_rate
+            planned = swing.nominal is not None
+        level = sum(each.z for each in feet.values()) / 2 - self.stance.lowering
+        if not planned:
+            level = min(level, self.stance.level_within_reach(feet, com))
+        rate = _LEVELLING**2 * (level - self._level) - 2.0 * _LEVELLING * self._level_rate
         self._level_rate += elapsed * rate
         self._level += elapsed * self._level_rate
         return rate

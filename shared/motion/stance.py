@@ -19,7 +19,8 @@ from shared.wbc.reference import turned
 class Stance:
     """The standing robot over its feet.
 
-    `com_height` is the CoM's over the soles and `width` the distance of the sole frames [m].
+    `com_height` is the CoM's over the soles, lower than in the standing posture by `lowering`, and
+    `width` the distance of the sole frames [m].
     `rest` (2,) is the CoM's place from the middle of the sole frames, `cop_in_sole` the middle of a
     sole in its frame.
     """
@@ -28,6 +29,7 @@ class Stance:
     width: float
     rest: tuple[float, float]
     cop_in_sole: tuple[float, float]
+    lowering: float
 
     @staticmethod
     def of(robot: Robot, *, lowering: float = 0.0) -> Stance:
@@ -42,6 +44,7 @@ class Stance:
             width=left.y - right.y,
             rest=(float(com[0]) - x, float(com[1]) - y),
             cop_in_sole=(sum(sole_x) / 2, 0.0),
+            lowering=lowering,
         )
 
     @property
@@ -54,6 +57,21 @@ class Stance:
         x, y, yaw = middle(feet)
         rest: np.ndarray = np.array((x, y)) + turned(yaw)[:2, :2] @ self.rest
         return rest
+
+    def level_within_reach(self, feet: Mapping[Foot, Footprint], com: np.ndarray) -> float:
+        """Return how high the CoM may be at a place (2,), from its standing height over z = 0 [m].
+
+        It is then no further from any sole than in the standing posture. A straight leg cannot hold
+        the trunk upright.
+        """
+        reach = self.com_height + self.lowering
+        rest_x, rest_y = self.rest
+        levels = []
+        for foot, sole in feet.items():
+            half = self.width / 2 if foot is Foot.LEFT else -self.width / 2
+            away = min(math.dist(com, sole.to_world((rest_x, rest_y - half))), reach)
+            levels.append(sole.z + math.sqrt(reach**2 - away**2) - reach)
+        return min(levels)
 
 
 def lower_foot(feet: Mapping[Foot, Footprint]) -> Footprint:

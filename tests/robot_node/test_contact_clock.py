@@ -14,6 +14,7 @@ from robot_node.node import RobotNode
 from robot_node.step_rows import StepRows
 from robot_node.stepping import ContactClock, Measured
 from shared.motion.plan_frame import PlanFrame
+from shared.motion.footsteps import standing_footprints
 from shared.motion.planned import Plan, PlannedPhase, PlanOrigin
 from shared.motion.stance import Stance
 from shared.motion.standing import Standing
@@ -290,3 +291,27 @@ def test_a_robot_that_begins_anew_stands_on_no_plan(bench, plan, robot, config):
     rows = bench.steps.rows()
     assert STEP_SCHEMA.column(rows, "kind").tolist() == [2, 2, 0, 2, 2]
     assert STEP_SCHEMA.column(rows, "plan").tolist() == [-1, -1, 0, -1, -1]
+
+
+def test_the_com_stays_within_reach_of_feet_that_are_apart(robot):
+    stance = Stance.of(robot)
+    together = standing_footprints(robot)
+    assert stance.level_within_reach(together, stance.rest_over(together)) == pytest.approx(0.0)
+    ahead = dataclasses.replace(together[Foot.LEFT], x=together[Foot.LEFT].x + 0.2)
+    feet = together | {Foot.LEFT: ahead}
+    level = stance.level_within_reach(feet, stance.rest_over(feet))
+    # Half of the step from each foot, on a circle of the standing height.
+    height = stance.com_height
+    assert level == pytest.approx(math.sqrt(height**2 - 0.1**2) - height)
+
+
+def test_after_a_step_of_no_plan_the_com_comes_down_to_the_reach_of_the_legs(bench):
+    for step in (0.0, 0.2):
+        left = bench.clock.feet[Foot.LEFT]
+        bench.clock.feet[Foot.LEFT] = dataclasses.replace(left, x=left.x + step)
+        bench.clock._observe = lambda now: None
+        height = bench.run(1000).com[2]
+        lower = bench.clock.stance.level_within_reach(bench.clock.feet, bench._now.com[:2])
+        standing = bench.clock.stance.com_height
+        assert height - standing == pytest.approx(lower, abs=2e-3)
+    assert lower < -0.005
