@@ -13,8 +13,8 @@ import pytest
 from robot_node.node import RobotNode
 from robot_node.step_rows import StepRows
 from robot_node.stepping import ContactClock, Measured
-from shared.motion.plan_frame import PlanFrame
 from shared.motion.footsteps import standing_footprints
+from shared.motion.plan_frame import PlanFrame
 from shared.motion.planned import Plan, PlannedPhase, PlanOrigin
 from shared.motion.stance import Stance
 from shared.motion.standing import Standing
