@@ -324,7 +324,7 @@ class ContactClock:
         com[:2] = self._com
         velocity[:2] = self._omega * (dcm_ref - self._com)
         acceleration[:2] = self._omega**2 * (self._com - cop)
-        # The CoM follows its DCM, and is half of the way there in about a quarter of a second.
+        # The CoM follows its DCM, and is half of the way there after 0.2 s.
         acceleration[2] = self._follow_level((now.com[:2] + dcm) / 2, elapsed)
         com[2], velocity[2] = standing.com[2] + self._level, self._level_rate
         return Reference(
