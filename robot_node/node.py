@@ -468,11 +468,10 @@ class RobotNode:
             return None, None
         clock = ContactClock(self._model.robot, self._config)
         whole = self._config.stepping.mode == "on"
-        ground = make_ground(self._config.ground, seed=self._config.seed)
         plans = PlanCache(
             *(self._codec, self._model.robot, clock),
             session=session,
-            ground=ground,
+            ground=clock.ground,
             whole_plans=whole,
         )
         return clock, plans

@@ -81,7 +81,8 @@ class Measured:
 class ContactClock:
     """The phases of the contact mode, by time and by touch, and the reference in each.
 
-    `phase` is the number of the present phase, and `phase_ns` the time since it began.
+    `phase` is the number of the present phase, and `phase_ns` the time since it began. `ground` is
+    the one that robot and edge know.
     """
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
@@ -91,7 +92,7 @@ class ContactClock:
         self.plan: Plan | None = None
         self._config = config.stepping
         self._decision = StepDecision(robot, config)
-        self.stance = self._decision.stance
+        self.stance, self.ground = self._decision.stance, self._decision.ground
         self._omega = self.stance.omega
         self._standing = Standing(robot).reference(0)
         self.feet = standing_footprints(robot)

@@ -78,13 +78,13 @@ class Step:
 
 
 class StepDecision:
-    """Decides on the steps of one robot."""
+    """Decides on the steps of one robot, on the `ground` that it knows."""
 
     def __init__(self, robot: Robot, config: RunConfig) -> None:
         self.stance = Stance.of(robot, lowering=config.walk.com_lowering)
         self._config = config.stepping
         self._gain = config.wbc.balance.gain
-        self._ground = make_ground(config.ground, seed=config.seed)
+        self.ground = make_ground(config.ground, seed=config.seed)
         self._corners = {sole.side: sole.corners() for sole in robot.soles}
 
     def must_step(self, balance: Balance) -> bool:
@@ -160,13 +160,13 @@ class StepDecision:
         Downhill the heel comes first, and the sole lands as high as the ground under it. Uphill the
         toe comes first, and an early landing is safe.
         """
-        if self._ground.flat:
+        if self.ground.flat:
             return 0.0
         corners = self._corners[sole.foot]
         heel = corners[corners[:, 0] == corners[:, 0].min(), :2]
         points = [(sole.x, sole.y), *(sole.to_world((x, y)) for x, y in heel.tolist())]
-        under = float(self._ground.heights(np.array(points)).max())
-        return under - self._ground.height(begin.x, begin.y)
+        under = float(self.ground.heights(np.array(points)).max())
+        return under - self.ground.height(begin.x, begin.y)
 
     def best_step(
         self, law: StepLaw, balance: Balance, *, without: Foot | None = None
